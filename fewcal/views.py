@@ -1,0 +1,106 @@
+"""A view: one picture of a board, reduced to correspondences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InvalidInput
+
+PLANARITY_TOLERANCE = 1e-6
+"""Largest distance of a point from the board's plane, as a share of the board's extent: numbers that
+were meant to be planar miss by rounding alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Points of one board and where one image shows them.
+
+    Parameters
+    ----------
+    object_points : array_like, (N, 3) or (N, 2)
+        Points in the board frame, metres. They must lie in one plane; z = 0 is assumed when it is left out.
+    image_points : array_like, (N, 2)
+        The same points in the image, pixels, the centre of the first pixel at (0, 0).
+    sigma : array_like, scalar or (N,), optional
+        One standard deviation of an image point in either direction, pixels. Used as relative weights; the
+        common scale is estimated with the camera. Equal for all points when left out.
+    source : str
+        Where the view comes from, such as a file name or topic.
+    stamp_ns : int, optional
+        Time of the image, nanoseconds.
+
+    Raises
+    ------
+    InvalidInput
+        When shapes disagree, a number is not finite, a sigma is not positive or the points lie in no plane.
+    """
+
+    object_points: NDArray[np.float64]
+    image_points: NDArray[np.float64]
+    sigma: NDArray[np.float64] | None = field(default=None)
+    source: str = ""
+    stamp_ns: int | None = None
+
+    def __init__(
+        self,
+        object_points: ArrayLike,
+        image_points: ArrayLike,
+        sigma: ArrayLike | None = None,
+        source: str = "",
+        stamp_ns: int | None = None,
+    ) -> None:
+        obj = _finite(object_points, "object_points")
+        img = _finite(image_points, "image_points")
+        if obj.ndim != 2 or obj.shape[1] not in (2, 3):
+            raise InvalidInput(f"object_points must have shape (N, 3), metres, not {obj.shape}.")
+        if img.ndim != 2 or img.shape[1] != 2:
+            raise InvalidInput(f"image_points must have shape (N, 2), pixels, not {img.shape}.")
+        if len(obj) != len(img):
+            raise InvalidInput(f"{len(obj)} object points but {len(img)} image points; give one for each.")
+        if obj.shape[1] == 2:
+            obj = np.hstack([obj, np.zeros((len(obj), 1))])
+        _check_planar(obj)
+        weights = None if sigma is None else _sigmas(sigma, len(obj))
+        obj.setflags(write=False)
+        img.setflags(write=False)
+        for name, value in (
+            ("object_points", obj),
+            ("image_points", img),
+            ("sigma", weights),
+            ("source", source),
+            ("stamp_ns", stamp_ns),
+        ):
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.object_points)
+
+
+def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"{name} must be an array of numbers.") from None
+    if not np.all(np.isfinite(array)):
+        raise InvalidInput(f"{name} holds a value that is not finite; leave such points out.")
+    return array
+
+
+def _sigmas(sigma: ArrayLike, count: int) -> NDArray[np.float64]:
+    values = _finite(sigma, "sigma").ravel()
+    if len(values) not in (1, count) or np.any(values <= 0):
+        raise InvalidInput("sigma must be positive pixels, one for all points or one for each.")
+    values = np.broadcast_to(values, (count,)).copy()
+    values.setflags(write=False)
+    return values
+
+
+def _check_planar(points: NDArray[np.float64]) -> None:
+    if len(points) < 4 or not np.any(points[:, 2] - points[0, 2]):
+        return
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[2] > PLANARITY_TOLERANCE * max(spread[0], 1e-300):
+        raise InvalidInput("The object points do not lie in one plane; fewcal calibrates from planar boards.")

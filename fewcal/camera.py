@@ -350,8 +350,9 @@ class Camera:
                 f"The distortion model folds over {self.fold_radius_px:.0f} px from the principal point; "
                 f"{lost.sum()} of {len(flat)} pixels lie beyond it, where it gives no ray."
             )
-        rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-        return (rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(*uv.shape[:-1], 3)
+        rays: Array = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        return rays.reshape(*uv.shape[:-1], 3)
 
     @property
     def fold_radius_px(self) -> float:
@@ -403,8 +404,7 @@ def _undistort_radius(distorted: Array, coefficients: Array) -> Array:
             r = following
             if not moved.any():
                 break
-    result: Array = np.where(reachable, r, np.nan)
-    return result
+    return np.where(reachable, r, np.nan)
 
 
 def _as_plumb_bob_order(distortion: Array) -> Array:

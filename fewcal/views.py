@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,6 +79,65 @@ class View:
 
     def __len__(self) -> int:
         return len(self.object_points)
+
+
+class ViewStack(NamedTuple):
+    """Several views in one set of arrays; shorter views are padded with points of weight 0.
+
+    Attributes
+    ----------
+    points : (V, N, 3)
+        Board points about their centroid, metres, in the board's axes.
+    centroid : (V, 3)
+        Metres, in the board frame.
+    plane : (V, 3, 3)
+        Rotation whose first two columns span the board's plane: ``points @ plane`` has z = 0.
+    pixels : (V, N, 2)
+    weights : (V, N)
+        Relative weights 1 / sigma with a mean square of 1 over all points.
+    """
+
+    points: NDArray[np.float64]
+    centroid: NDArray[np.float64]
+    plane: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+    @property
+    def plane_points(self) -> NDArray[np.float64]:
+        """(V, N, 2) board points in the board's plane, about their centroid, metres."""
+        return (self.points @ self.plane)[..., :2]
+
+
+def stack_views(views: Sequence[View]) -> ViewStack:
+    """Put views into one set of arrays.
+
+    Raises
+    ------
+    InvalidInput
+        When there is no view.
+    """
+    if not views:
+        raise InvalidInput("There is no view to calibrate from; give at least one.")
+    longest = max(len(view) for view in views)
+    points, pixels = np.zeros((len(views), longest, 3)), np.zeros((len(views), longest, 2))
+    weights, centroid = np.zeros((len(views), longest)), np.zeros((len(views), 3))
+    plane = np.tile(np.eye(3), (len(views), 1, 1))
+    for i, view in enumerate(views):
+        count = len(view)
+        if count == 0:
+            continue
+        centroid[i] = view.object_points.mean(axis=0)
+        points[i, :count] = view.object_points - centroid[i]
+        pixels[i, :count] = view.image_points
+        pixels[i, count:] = view.image_points.mean(axis=0)
+        weights[i, :count] = 1 if view.sigma is None else 1 / view.sigma
+        if np.any(points[i, :, 2]):
+            axes = np.linalg.svd(points[i, :count], full_matrices=True)[2]
+            plane[i] = (axes * [[1], [1], [np.linalg.det(axes)]]).T
+    if not any(view.sigma is None for view in views):
+        weights /= np.sqrt((weights**2).sum() / (weights > 0).sum())
+    return ViewStack(points, centroid, plane, pixels, weights)
 
 
 def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:

@@ -1,0 +1,301 @@
+"""Soft constraints: each a block of residual rows with its Jacobian beside it.
+
+A row is in units of its own standard deviation, so that half the sum of squares is a negative log-likelihood
+and no weight is left to choose. :class:`Priors` holds what is known about a camera before it has seen a
+board, fitted on 253 real cameras (doc/estimator.md says how); every field can be replaced.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InvalidInput
+
+Array = NDArray[np.float64]
+
+ASPECT_TOLERANCE_PX = 50.0
+"""The constant a of eq 29, pixels, as in the paper's experiments (section 5)."""
+LARGEST_EXPONENT = 50.0
+"""Bound of the exponent of eq 29; beyond it the penalty would overflow long before it mattered."""
+
+
+def _require_finite(name: str, numbers: tuple[float, ...], positive: tuple[float, ...]) -> None:
+    if not all(math.isfinite(x) for x in (*numbers, *positive)) or not all(x > 0 for x in positive):
+        raise InvalidInput(f"{name} needs finite numbers, with widths above zero.")
+
+
+def _require_pair(name: str, pair: tuple[float, float]) -> None:
+    if len(pair) != 2 or not all(math.isfinite(x) and x > 0 for x in pair):
+        raise InvalidInput(f"Priors.{name} must be two positive numbers, mean and standard deviation.")
+
+
+class Distribution(Protocol):
+    """The prior of one number."""
+
+    def row(self, value: Array) -> tuple[Array, Array]:
+        """Compute the residual row and its derivative by the value, elementwise."""
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal distribution.
+
+    Parameters
+    ----------
+    mean, sd : float
+        In the unit of the quantity; sd above zero.
+    """
+
+    mean: float
+    sd: float
+
+    def __post_init__(self) -> None:
+        _require_finite("Normal", (self.mean, self.sd), (self.sd,))
+
+    def row(self, value: Array) -> tuple[Array, Array]:
+        """Compute the residual row and its derivative by the value, elementwise."""
+        return (value - self.mean) / self.sd, np.full_like(value, 1 / self.sd)
+
+
+@dataclass(frozen=True)
+class StudentT:
+    """Student's t distribution: like a normal one near its mean, but a value far out is not impossible.
+
+    Parameters
+    ----------
+    nu : float
+        Degrees of freedom, above zero.
+    scale : float
+        In the unit of the quantity, above zero.
+    mean : float
+    """
+
+    nu: float
+    scale: float
+    mean: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_finite("StudentT", (self.nu, self.scale, self.mean), (self.nu, self.scale))
+
+    def row(self, value: Array) -> tuple[Array, Array]:
+        """Compute r = sign(z) sqrt((nu + 1) ln(1 + z^2 / nu)) and its derivative by the value."""
+        z = (value - self.mean) / self.scale
+        gain, slope = _student_gain(z * z, self.nu, 1)
+        return gain * z, (gain + slope * z * z) / self.scale
+
+
+@dataclass(frozen=True)
+class RadialPrior:
+    """Bivariate t of the scale-free radial terms (a1, a2), whose mean depends on the lens.
+
+    Long lenses tend to pincushion and short ones to barrel: with x = ln(f / W) - ln `reference`, clipped to
+    [-1, 1], the mean is `intercept` + `slope` x.
+
+    Parameters
+    ----------
+    nu : float
+    intercept, slope : (2,) of a1 and a2
+    covariance : (2, 2) scale matrix, as nested tuples
+    reference : float
+        f / W at which x is zero.
+    """
+
+    nu: float = 2.5
+    intercept: tuple[float, float] = (-0.107, 0.0219)
+    slope: tuple[float, float] = (0.287, -0.0875)
+    covariance: tuple[tuple[float, float], tuple[float, float]] = ((0.0125, -0.0044), (-0.0044, 0.0019))
+    reference: float = 0.85
+
+    def __post_init__(self) -> None:
+        _require_finite("RadialPrior", (*self.intercept, *self.slope), (self.nu, self.reference))
+        if np.shape(self.covariance) != (2, 2) or not np.all(np.linalg.eigvalsh(self.covariance) > 0):
+            raise InvalidInput("RadialPrior.covariance must be a positive definite 2x2 matrix.")
+
+    def mean(self, log_focal_over_width: Array) -> tuple[Array, Array]:
+        """Mean (B, 2) of (a1, a2) for a focal length, and its derivative by the log focal length."""
+        x = log_focal_over_width - math.log(self.reference)
+        slope = np.where(np.abs(x) < 1, 1.0, 0.0)[:, None] * np.array(self.slope)
+        return np.array(self.intercept) + np.clip(x, -1, 1)[:, None] * np.array(self.slope), slope
+
+    def rows(self, log_focal_over_width: Array, radial: Array) -> tuple[Array, Array]:
+        """Compute two rows for each item and their derivatives.
+
+        Parameters
+        ----------
+        log_focal_over_width : (B,)
+        radial : (B, 2) a1, a2
+
+        Returns
+        -------
+        r : (B, 2)
+        J : (B, 2, 3) by log f, a1, a2
+        """
+        mean, slope = self.mean(log_focal_over_width)
+        whiten = np.linalg.inv(np.linalg.cholesky(np.array(self.covariance)))
+        w = (radial - mean) @ whiten.T
+        gain, gain_slope = _student_gain((w * w).sum(axis=1), self.nu, 2)
+        by_w = gain[:, None, None] * np.eye(2) + gain_slope[:, None, None] * w[:, :, None] * w[:, None, :]
+        by_value = by_w @ whiten
+        by_focal = -(by_value @ slope[:, :, None])
+        return gain[:, None] * w, np.concatenate([by_focal, by_value], axis=2)
+
+
+@dataclass(frozen=True)
+class Priors:
+    """What is known about the camera before the first view.
+
+    Replace any field: a lens known to be 1200 px within 1 % is ``Priors(focal_px=(1200, 12))``.
+
+    Parameters
+    ----------
+    focal_px : (float, float), optional
+        Mean and standard deviation of fx, pixels. Replaces `log_focal_over_width`.
+    log_focal_over_width : Distribution
+        Of ln(fx / max(width, height)).
+    log_aspect : Distribution
+        Of ln(fy / fx).
+    principal_point_x, principal_point_y : Distribution
+        Of the offset from ((w - 1) / 2, (h - 1) / 2), in image diagonals.
+    radial : RadialPrior
+        Of a1 = k1 rc^2 and a2 = k2 rc^4, with rc = half the diagonal / fx.
+    tangential : Distribution
+        Of b1 = p1 rc and b2 = p2 rc.
+    corner_sigma_px : (float, float)
+        Median of the corner noise, pixels, and the standard deviation of its logarithm.
+    """
+
+    focal_px: tuple[float, float] | None = None
+    log_focal_over_width: Distribution = Normal(-0.21, 0.40)
+    log_aspect: Distribution = StudentT(2.0, 0.0022)
+    principal_point_x: Distribution = StudentT(3.0, 0.0134)
+    principal_point_y: Distribution = StudentT(3.0, 0.0154)
+    radial: RadialPrior = RadialPrior()
+    tangential: Distribution = StudentT(1.25, 0.0011)
+    corner_sigma_px: tuple[float, float] = (0.25, 1.0)
+
+    def __post_init__(self) -> None:
+        if self.focal_px is not None:
+            _require_pair("focal_px", self.focal_px)
+        _require_pair("corner_sigma_px", self.corner_sigma_px)
+
+    def focal(self, width: float) -> Distribution:
+        """Prior of ln(fx / width), width in pixels, the user's own when there is one."""
+        if self.focal_px is None:
+            return self.log_focal_over_width
+        mean, sd = self.focal_px
+        return Normal(math.log(mean / width), sd / mean)
+
+    def rows(self, theta: Array, width: float) -> tuple[Array, Array]:
+        """Compute the rows of all priors on the camera.
+
+        Parameters
+        ----------
+        theta : (B, 8)
+            Scale-free camera: ln fx, ln(fy / fx), principal point offset in diagonals (x, y), a1, a2, b1, b2.
+        width : float
+            max(width, height), pixels.
+
+        Returns
+        -------
+        r : (B, 8), J : (B, 8, 8)
+            In the order of :data:`PRIOR_ROWS`.
+        """
+        log_focal = theta[:, 0] - math.log(width)
+        single = (
+            (0, self.focal(width), log_focal),
+            (1, self.log_aspect, theta[:, 1]),
+            (2, self.principal_point_x, theta[:, 2]),
+            (3, self.principal_point_y, theta[:, 3]),
+            (6, self.tangential, theta[:, 6]),
+            (7, self.tangential, theta[:, 7]),
+        )
+        r, J = np.zeros_like(theta), np.zeros((*theta.shape, theta.shape[1]))
+        for index, distribution, value in single:
+            r[:, index], J[:, index, index] = distribution.row(value)
+        r[:, 4:6], radial = self.radial.rows(log_focal, theta[:, 4:6])
+        J[:, 4:6, 0], J[:, 4:6, 4:6] = radial[..., 0], radial[..., 1:]
+        return r, J
+
+
+PRIOR_ROWS = (
+    "focal length",
+    "aspect ratio",
+    "principal point x",
+    "principal point y",
+    "radial distortion",
+    "radial distortion",
+    "tangential distortion",
+    "tangential distortion",
+)
+"""What each row of :meth:`Priors.rows` speaks of."""
+
+
+def exponential_penalty(fx: Array, fy: Array, views: int) -> tuple[Array, Array]:
+    """Compute the paper's soft constraint n exp((fx - fy)^2 / (2 a^2)) as a residual row (eq 29).
+
+    r = sign(d) sqrt(n expm1(min(d^2 / (2 a^2), 50))) with d = fx - fy has the same minimiser, without the
+    constant and without overflow.
+
+    Parameters
+    ----------
+    fx, fy : (B,) pixels
+    views : int
+        n of eq 29.
+
+    Returns
+    -------
+    r : (B,), J : (B, 2) by fx and fy
+    """
+    d = fx - fy
+    exponent = d * d / (2 * ASPECT_TOLERANCE_PX**2)
+    bounded = np.minimum(exponent, LARGEST_EXPONENT)
+    size = np.sqrt(views * np.expm1(bounded))
+    # dr/dd = n exp(e) |d| / (2 a^2 |r|), whose limit at d = 0 is sqrt(n / 2) / a.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = views * np.exp(bounded) * np.abs(d) / (2 * ASPECT_TOLERANCE_PX**2 * size)
+    slope = np.where(size > 0, slope, math.sqrt(views / 2) / ASPECT_TOLERANCE_PX)
+    # Past the bound the row is constant; the slope at the bound still points the way back.
+    return np.sign(d) * size, np.stack([slope, -slope], axis=-1)
+
+
+def reprojection(
+    pixels: Array, observed: Array, weights: Array, d_pixels: Array, *more: Array
+) -> tuple[Array, tuple[Array, ...]]:
+    """Reprojection rows of every view: weighted difference of projection and observation.
+
+    Parameters
+    ----------
+    pixels, observed : (..., N, 2) px
+    weights : (..., N)
+        1 / sigma, px^-1; 0 leaves a point out.
+    d_pixels, *more : (..., N, 2, K)
+        Derivatives of the projection by blocks of unknowns.
+
+    Returns
+    -------
+    r : (..., 2 N)
+    J : tuple of (..., 2 N, K), one for each block
+    """
+    w = weights[..., None]
+    r = (pixels - observed) * w
+    blocks = tuple(J * w[..., None] for J in (d_pixels, *more))
+    return (
+        r.reshape(*r.shape[:-2], -1),
+        tuple(J.reshape(*J.shape[:-3], -1, J.shape[-1]) for J in blocks),
+    )
+
+
+def _student_gain(squares: Array, nu: float, dimension: int) -> tuple[Array, Array]:
+    """Factor g with |g w|^2 = (nu + d) ln(1 + |w|^2 / nu), and g' / |w| for its derivative."""
+    q = squares / nu
+    small = q < 1e-6
+    safe = np.where(small, 1.0, q)
+    gain = np.sqrt((nu + dimension) / nu * np.where(small, 1 - q / 2, np.log1p(safe) / safe))
+    # d(gain^2)/d(squares) = (nu + d) / nu^2 * (1 / (q (1 + q)) - ln(1 + q) / q^2)
+    bend = np.where(small, -0.5, 1 / (safe * (1 + safe)) - np.log1p(safe) / safe**2)
+    return gain, (nu + dimension) / nu**2 * bend / gain

@@ -1,0 +1,201 @@
+"""Corners located to a few hundredths of a pixel, with what that location is worth.
+
+Around one corner c the image is modelled as two blurred edges that cross,
+
+    I(x) = (a + b E(n1 . (x - c) / s1) E(n2 . (x - c) / s2)) (1 + g . (x - c)),     E(t) = erf(t / sqrt 2)
+
+with the normals n1, n2 of the edges, the blur s1, s2 of each (Gaussian sd, px: defocus, motion and the pixel
+itself), the brightness a, the contrast b and the slope g of the light. All ten parameters of all corners are
+fitted at once by Levenberg-Marquardt over the pixels of a window that follows the squares in size and
+foreshortening. Under white noise this is the maximum-likelihood location, and as the model is symmetric about
+c, so is what it leaves out: glare that eats into the black squares, gamma, the ends of a skew blur. The
+covariance of c is that of the fit, with the noise taken from its residuals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from .grid import local_axes
+from .saddle_points import Image
+
+Array = NDArray[np.float64]
+
+WINDOW_SHARE = 0.42
+"""Half width of the window as a share of the square, each way: clear of the next edge with its blur."""
+MAX_RADIUS_PX = 10
+"""Largest half width: 20 px of each edge; more would cost time and see the edges bend by distortion."""
+MIN_RADIUS_PX = 2.0
+"""Smallest half width: below it ten parameters have hardly more pixels than themselves."""
+FLOOR_PX = 0.01
+"""Least sd of a corner: print, paper and lens models are not better than this, however low the noise."""
+MIN_EXPLAINED = 0.6
+"""Share of the window's variance that the model must explain: 0.95 and more at a clean corner."""
+MIN_BLUR_PX, MAX_BLUR_PX = 0.3, 30.0
+"""A pixel is itself a blur of 0.29 px; beyond 30 px no window resolves the edge."""
+_ITERATIONS = 14
+"""Levenberg-Marquardt steps; 5 to 8 suffice from the saddle point."""
+_CONVERGED_PX = 1e-3
+"""Steps of the location below this are far below its sd."""
+_PARAMETERS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedCorners:
+    """Corners of a grid, located at full resolution.
+
+    Attributes
+    ----------
+    points : (R, C, 2)
+        Pixels, the centre of the first pixel at (0, 0).
+    sigma : (R, C)
+        One sd of a point in either direction, pixels.
+    blur : (R, C, 2)
+        Gaussian sd of the edge along the row and along the column, pixels.
+    explained : (R, C)
+        Share of the brightness variance that the model explains, at most 1.
+    """
+
+    points: Array
+    sigma: Array
+    blur: Array
+    explained: Array
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """(R, C) whether the image shows a corner there at all."""
+        return self.explained > MIN_EXPLAINED
+
+
+def refine_corners(image: Image, grid: Array) -> RefinedCorners:
+    """Locate the corners of a grid to sub-pixel accuracy.
+
+    Parameters
+    ----------
+    image : (H, W) array
+        Grey levels at full resolution.
+    grid : (R, C, 2)
+        Approximate corners, pixels, to within a fifth of a square; all known.
+    """
+    across, down = local_axes(grid)
+    shape = grid.shape[:2]
+    axes = np.stack([across, down], axis=-2).reshape(-1, 2, 2)
+    points, sigma, blur, explained = _fit(image, grid.reshape(-1, 2), axes)
+    return RefinedCorners(
+        points.reshape(*shape, 2), sigma.reshape(shape), blur.reshape(*shape, 2), explained.reshape(shape)
+    )
+
+
+def _fit(image: Image, start: Array, axes: Array) -> tuple[Array, Array, Array, Array]:
+    """Fit the model at every start; points, sigma, blur of the two edges and share explained."""
+    origin = np.rint(start)
+    x, values, weights = _windows(image, origin, axes)
+    p = _initial(start - origin, axes, x, values, weights)
+    damping = np.full(len(p), 1e-3)
+    model, J = _model(p, x)
+    cost = np.sum(weights * (values - model) ** 2, axis=1)
+    for _ in range(_ITERATIONS):
+        JW = J * weights[..., None]
+        normal = np.swapaxes(JW, 1, 2) @ J
+        gradient = np.einsum("npk,np->nk", JW, values - model)
+        step = _solve(normal, gradient, damping)
+        trial = _bounded(p + step)
+        trial_model, trial_J = _model(trial, x)
+        trial_cost = np.sum(weights * (values - trial_model) ** 2, axis=1)
+        better = trial_cost < cost
+        damping = np.where(better, damping / 10, damping * 10)
+        p[better], cost[better] = trial[better], trial_cost[better]
+        model[better], J[better] = trial_model[better], trial_J[better]
+        if np.abs(step[:, :2]).max() < _CONVERGED_PX:
+            break
+    pixels = weights.sum(axis=1)
+    mean = np.sum(weights * values, axis=1) / pixels
+    variance = np.sum(weights * (values - mean[:, None]) ** 2, axis=1)
+    noise = cost / np.maximum(pixels - _PARAMETERS, 1)
+    normal = np.swapaxes(J * weights[..., None], 1, 2) @ J
+    covariance = _solve(normal, np.broadcast_to(np.eye(_PARAMETERS), normal.shape), np.zeros(len(p)))
+    spread = np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], 0) / 2
+    sigma = np.sqrt(spread * noise + FLOOR_PX**2)
+    explained = 1 - cost / np.maximum(variance, 1e-12)
+    return origin + p[:, :2], sigma, p[:, 4:6], explained
+
+
+def _windows(image: Image, origin: Array, axes: Array) -> tuple[Array, Array, Array]:
+    """Pixels around each corner: offsets (P, 2), grey levels (N, P) and weights (N, P), 0 outside."""
+    reach = WINDOW_SHARE * np.abs(axes).sum(axis=1).max()
+    radius = int(np.clip(np.ceil(reach), MIN_RADIUS_PX, MAX_RADIUS_PX))
+    dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1].reshape(2, -1)
+    column = origin[:, :1].astype(np.intp) + dx
+    row = origin[:, 1:].astype(np.intp) + dy
+    height, width = image.shape
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    values = image[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)].astype(np.float64)
+    x = np.stack([dx, dy], axis=1).astype(np.float64)
+    # In units of squares along the two axes of the grid; never narrower than the least radius.
+    length = np.linalg.norm(axes, axis=2)
+    reach = np.clip(WINDOW_SHARE * length, MIN_RADIUS_PX, MAX_RADIUS_PX)
+    unit = axes / np.maximum(length, 1e-9)[..., None]
+    along = np.abs(x @ np.linalg.pinv(unit))
+    return x, values, (inside & (along <= reach[:, None]).all(axis=2)).astype(np.float64)
+
+
+def _initial(offset: Array, axes: Array, x: Array, values: Array, weights: Array) -> Array:
+    """Start of the fit: c, two edge angles, two blurs, brightness, contrast, slope of the light."""
+    p = np.zeros((len(offset), _PARAMETERS))
+    p[:, :2] = offset
+    p[:, 2:4] = np.arctan2(axes[..., 1], axes[..., 0])
+    p[:, 4:6] = np.clip(0.08 * np.linalg.norm(axes, axis=2)[:, ::-1], 0.7, 2.0)
+    p[:, 7] = 1.0
+    pattern, _ = _model(p, x)
+    pixels = np.maximum(weights.sum(axis=1), 1)
+    mean = np.sum(weights * values, axis=1) / pixels
+    power = np.maximum(np.sum(weights * pattern**2, axis=1), 1e-9)
+    p[:, 7] = np.sum(weights * pattern * (values - mean[:, None]), axis=1) / power
+    p[:, 6] = mean
+    return p
+
+
+def _model(p: Array, x: Array) -> tuple[Array, Array]:
+    """Brightness (N, P) and its derivatives (N, P, 10) by the parameters."""
+    from_corner = x - p[:, None, :2]
+    cos, sin = np.cos(p[:, None, 2:4]), np.sin(p[:, None, 2:4])
+    across = from_corner[..., 1:] * cos - from_corner[..., :1] * sin  # distance from each edge
+    along = from_corner[..., :1] * cos + from_corner[..., 1:] * sin
+    blur = p[:, None, 4:6]
+    t = across / blur
+    E = erf(t * np.sqrt(0.5))
+    slope = np.sqrt(2 / np.pi) * np.exp(-0.5 * t * t) / blur  # dE / d across
+    a, b = p[:, None, 6], p[:, None, 7]
+    checker = E[..., 0] * E[..., 1]
+    reflectance = a + b * checker
+    light = 1 + np.einsum("npi,ni->np", from_corner, p[:, 8:10])
+    J = np.empty((*checker.shape, _PARAMETERS))
+    by_distance = (b * light)[..., None] * slope * E[..., ::-1]  # d I / d distance from each edge
+    J[..., 0] = np.sum(by_distance * sin, axis=2) - reflectance * p[:, None, 8]
+    J[..., 1] = -np.sum(by_distance * cos, axis=2) - reflectance * p[:, None, 9]
+    J[..., 2:4] = -by_distance * along
+    J[..., 4:6] = -by_distance * t
+    J[..., 6] = light
+    J[..., 7] = light * checker
+    J[..., 8:10] = reflectance[..., None] * from_corner
+    return reflectance * light, J
+
+
+def _bounded(p: Array) -> Array:
+    """Keep the blurs where they mean something."""
+    p[:, 4:6] = np.clip(p[:, 4:6], MIN_BLUR_PX, MAX_BLUR_PX)
+    return p
+
+
+def _solve(normal: Array, right: Array, damping: Array) -> Array:
+    """Solve damped normal equations, scaled by their diagonal so that units do not matter."""
+    scale = np.sqrt(np.maximum(np.einsum("nkk->nk", normal), 1e-20))
+    scaled = normal / (scale[:, :, None] * scale[:, None, :])
+    scaled[:, range(_PARAMETERS), range(_PARAMETERS)] += damping[:, None] + 1e-9
+    if right.ndim == 2:
+        return np.asarray(np.linalg.solve(scaled, (right / scale)[..., None])[..., 0] / scale)
+    return np.asarray(np.linalg.solve(scaled, right / scale[:, :, None]) / scale[:, :, None])

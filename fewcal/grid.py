@@ -1,0 +1,325 @@
+"""From loose corners to the grid of a chessboard, of whatever size it has.
+
+Two corners are neighbours when an edge runs from one to the other, dark on one side and bright on the other
+all the way, and when each is the other's nearest in that direction. Along an edge dark and bright change
+sides at each corner, so the edge that enters a dark sector at one corner leaves one at the next: chance
+hardly ever imitates that. Chains of neighbours give integer coordinates; corners that were missed are looked
+for where their neighbours predict them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from .saddle_points import Image, SaddlePoints, sample
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+NEAREST = 16
+"""Corners looked at around each one: its 8 on the board, and as many of clutter between them."""
+EDGE_TOLERANCE_RAD = 0.35
+"""How far a neighbour may lie off the direction of an edge: 20 deg, for a short and distorted edge."""
+SECTOR_SHARE = 0.4
+"""The same as a share of the narrower sector, so that one direction is never taken for the other."""
+EDGE_SIDE = 0.2
+"""How far to either side of an edge the step is measured, as a share of its length."""
+EDGE_CONTRAST = 0.3
+"""Step across an edge between two corners, as a share of the fainter corner's contrast."""
+MIN_CORNERS = 6
+"""Fewest corners that are worth growing: two squares side by side."""
+MIN_RIM_SHARE = 0.7
+"""Share of the edges along an outer row that must step the right way: a false row has half of them, at most
+two of three, and a true one with a corner missing six of eight."""
+MAX_GRIDS = 3
+"""Chains of corners that are grown, largest first."""
+SNAP_SHARE = 0.3
+"""A missing corner is sought this far from its prediction, as a share of the distance to its neighbours."""
+MAX_RINGS = 200
+"""Rounds of growing; each adds at least one corner, so this only bounds a board of unusual size."""
+
+
+def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
+    """Arrange corners in grids.
+
+    Parameters
+    ----------
+    image : (H, W) array
+        The image that the corners were found in.
+    saddles : SaddlePoints
+        Its corner candidates.
+
+    Returns
+    -------
+    list of (R, C, 2) arrays, most corners first: pixels, NaN where a corner was not found.
+    """
+    if len(saddles.points) < MIN_CORNERS:
+        return []
+    start, end, along_first = _links(image, saddles)
+    if len(start) == 0:
+        return []
+    count = len(saddles.points)
+    graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(count, count))
+    _, label = connected_components(graph, directed=False)
+    sizes = np.bincount(label)
+    chosen = np.argsort(-sizes, kind="stable")[:MAX_GRIDS]
+    grids = []
+    tree = cKDTree(saddles.points)
+    for component in chosen[sizes[chosen] >= MIN_CORNERS]:
+        own = label[start] == component
+        grid, swapped = _coordinates(saddles, start[own], end[own], along_first[own])
+        grid = _trim(image, saddles, *_grow(grid, swapped, saddles, tree))
+        if min(grid.shape) > 1:
+            grids.append(np.where((grid >= 0)[..., None], saddles.points[grid], np.nan))
+    return sorted(grids, key=lambda grid: -int(np.isfinite(grid[..., 0]).sum()))
+
+
+def _turn(angle: Array) -> Array:
+    """Difference of two undirected directions, radians, between 0 and pi / 2."""
+    return np.abs((angle + np.pi / 2) % np.pi - np.pi / 2)
+
+
+def _links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArray[np.bool_]]:
+    """Pairs of neighbouring corners, each pair both ways, and whether it is on the start's first edge."""
+    points, edges = saddles.points, saddles.edges
+    near = min(NEAREST + 1, len(points))
+    _, neighbours = cKDTree(points).query(points, k=near)
+    start = np.repeat(np.arange(len(points)), near - 1)
+    end = np.asarray(neighbours[:, 1:], dtype=np.intp).ravel()
+    step = points[end] - points[start]
+    angle = np.arctan2(step[:, 1], step[:, 0])
+    sector = _turn(edges[:, 1] - edges[:, 0])
+    tolerance = np.minimum(EDGE_TOLERANCE_RAD, SECTOR_SHARE * np.minimum(sector[start], sector[end]))
+    first = (_turn(angle - edges[start, 0]) < tolerance) & (_turn(angle - edges[end, 1]) < tolerance)
+    second = (_turn(angle - edges[start, 1]) < tolerance) & (_turn(angle - edges[end, 0]) < tolerance)
+    kept = np.flatnonzero(first | second)
+    kept = kept[_is_edge(image, saddles, start[kept], end[kept], first[kept])]
+    start, end, first, step, angle = start[kept], end[kept], first[kept], step[kept], angle[kept]
+    forward = np.cos(angle - np.where(first, edges[start, 0], edges[start, 1])) > 0
+    slot = 4 * start + 2 * first + forward
+    order = np.lexsort([np.hypot(step[:, 0], step[:, 1]), slot])
+    _, nearest = np.unique(slot[order], return_index=True)
+    kept = order[nearest]
+    start, end, first = start[kept], end[kept], first[kept]
+    mutual = np.isin(start * len(points) + end, end * len(points) + start)
+    return start[mutual], end[mutual], first[mutual]
+
+
+def _is_edge(
+    image: Image, saddles: SaddlePoints, start: Indices, end: Indices, first: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Whether the brightness steps the right way across the line from start to end, all along it."""
+    a, b = saddles.points[start], saddles.points[end]
+    step = b - a
+    # Seen along an edge that opens a dark sector, the side towards increasing angle is dark.
+    side = np.stack([-step[:, 1], step[:, 0]], axis=1) * np.where(first, EDGE_SIDE, -EDGE_SIDE)[:, None]
+    along = a[:, None] + step[:, None] * np.array([0.3, 0.5, 0.7])[:, None]
+    drop = sample(image, along - side[:, None]) - sample(image, along + side[:, None])
+    needed = EDGE_CONTRAST * np.minimum(saddles.contrast[start], saddles.contrast[end])
+    return np.asarray((drop > needed[:, None]).all(axis=1))
+
+
+def _coordinates(
+    saddles: SaddlePoints, start: Indices, end: Indices, first: NDArray[np.bool_]
+) -> tuple[Indices, bool]:
+    """Grid of one chain of neighbours: walk the links outwards from the best connected corner.
+
+    Returns
+    -------
+    grid : (R, C)
+        Index of the corner in each cell, -1 for none.
+    swapped : bool
+        Whether the corner of cell (0, 0) has its first edge along the column rather than the row.
+    """
+    points = saddles.points
+    lines = np.stack([np.cos(saddles.edges), np.sin(saddles.edges)], axis=-1)
+    step = points[end] - points[start]
+    cell = np.zeros((len(points), 2), dtype=np.int64)
+    axes = np.zeros((len(points), 2, 2))
+    swapped = np.zeros(len(points), dtype=bool)
+    known = np.zeros(len(points), dtype=bool)
+    seed = np.bincount(start).argmax()
+    known[seed], axes[seed] = True, lines[seed]
+    while True:
+        new = np.flatnonzero(known[start] & ~known[end])
+        if len(new) == 0:
+            break
+        _, once = np.unique(end[new], return_index=True)
+        new = new[once]
+        i, j = start[new], end[new]
+        # Axis 0 of the grid follows the first edge of every second corner and the second of the others.
+        axis = (first[new] == swapped[i]).astype(np.intp)
+        direction = np.sign(np.sum(axes[i, axis] * step[new], axis=1)).astype(np.int64)
+        cell[j] = cell[i]
+        cell[j, axis] += direction
+        swapped[j] = ~swapped[i]
+        own = np.where(swapped[j, None, None], lines[j][:, ::-1], lines[j])
+        axes[j] = own * np.sign(np.sum(own * axes[i], axis=2, keepdims=True))
+        known[j] = True
+    members = np.flatnonzero(known)
+    place = cell[members] - cell[members].min(axis=0)
+    columns, rows = place.max(axis=0) + 1
+    flat = place[:, 1] * columns + place[:, 0]
+    grid = np.full(rows * columns, -1, dtype=np.intp)
+    grid[flat] = members
+    grid[np.bincount(flat, minlength=rows * columns) > 1] = -1  # two corners claim one cell: neither is sure
+    return grid.reshape(rows, columns), bool(swapped[members[0]] ^ (place[0].sum() % 2 == 1))
+
+
+def predict(grid: Array) -> tuple[Array, Array]:
+    """Where each corner of a grid should be, judged by the others alone.
+
+    Parameters
+    ----------
+    grid : (R, C, 2)
+        Pixels, NaN where unknown.
+
+    Returns
+    -------
+    prediction : (R, C, 2)
+        Mean of what rows and columns say: the middle of two neighbours where there are two, else the
+        straight continuation of two on one side. NaN where neither is known.
+    spacing : (R, C)
+        Distance to the nearest of the neighbours used, pixels; NaN where there is no prediction.
+    """
+    rows, columns = grid.shape[:2]
+    wide = np.full((rows + 4, columns + 4, 2), np.nan)
+    wide[2:-2, 2:-2] = grid
+
+    def at(dy: int, dx: int) -> Array:
+        return wide[2 + dy : 2 + dy + rows, 2 + dx : 2 + dx + columns]
+
+    guesses, spacings = [], []
+    for dy, dx in ((0, 1), (1, 0)):
+        before, after = at(-dy, -dx), at(dy, dx)
+        middle = (before + after) / 2
+        on, back = 2 * after - at(2 * dy, 2 * dx), 2 * before - at(-2 * dy, -2 * dx)
+        guess = np.where(np.isfinite(middle), middle, np.where(np.isfinite(on), on, back))
+        guesses.append(guess)
+        for neighbour in (before, after):
+            spacings.append(np.hypot(*np.moveaxis(neighbour - guess, -1, 0)))
+    # An outer corner of an L: three corners of a square give the fourth.
+    corner = np.stack([at(dy, 0) + at(0, dx) - at(dy, dx) for dy in (-1, 1) for dx in (-1, 1)])
+    either = _mean(np.stack(guesses))
+    prediction = np.where(np.isfinite(either), either, _mean(corner))
+    for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        spacings.append(np.hypot(*np.moveaxis(at(dy, dx) - prediction, -1, 0)))
+    spacing = np.fmin.reduce(np.stack(spacings))
+    return prediction, spacing
+
+
+def _mean(values: Array) -> Array:
+    """Mean over the first axis of the values that are known."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    total = np.where(known, values, 0).sum(axis=0)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def _grow(grid: Indices, swapped: bool, saddles: SaddlePoints, tree: cKDTree) -> tuple[Indices, bool]:
+    """Fill gaps and add rings of corners where the grid predicts them and a candidate fits."""
+    for _ in range(MAX_RINGS):
+        wide = np.pad(grid, 1, constant_values=-1)
+        # The rim moves cell (0, 0) by a diagonal step, to a corner of the same kind.
+        points = np.where((wide >= 0)[..., None], saddles.points[wide], np.nan)
+        prediction, spacing = predict(points)
+        rows, columns = np.nonzero((wide < 0) & np.isfinite(prediction[..., 0]))
+        distance, nearest = tree.query(prediction[rows, columns])
+        found = (distance < SNAP_SHARE * spacing[rows, columns]) & ~np.isin(nearest, grid)
+        found &= _right_way_round(points, rows, columns, saddles.edges[nearest], swapped)
+        rows, columns, nearest = rows[found], columns[found], nearest[found]
+        _, once = np.unique(nearest, return_index=True)
+        if len(once) == 0:
+            break
+        wide[rows[once], columns[once]] = nearest[once]
+        grid, swapped = _crop(wide, swapped)
+    return grid, swapped
+
+
+def _right_way_round(
+    points: Array, rows: Indices, columns: Indices, edges: Array, swapped: bool
+) -> NDArray[np.bool_]:
+    """Whether the first edge of each candidate runs along the row or the column as its place demands."""
+    angles = []
+    for axes in local_axes(points):
+        mean = _mean(axes.reshape(-1, 2))
+        own = _mean(
+            np.stack(
+                [
+                    axes[np.clip(rows + dy, 0, len(axes) - 1), np.clip(columns + dx, 0, axes.shape[1] - 1)]
+                    for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0))
+                ]
+            )
+        )
+        own = np.where(np.isfinite(own), own, mean)
+        angles.append(np.arctan2(own[:, 1], own[:, 0]))
+    along_row, along_column = angles
+    upright = _turn(edges[:, 0] - along_row) + _turn(edges[:, 1] - along_column)
+    turned = _turn(edges[:, 0] - along_column) + _turn(edges[:, 1] - along_row)
+    return np.asarray((turned < upright) == (((rows + columns) % 2 == 1) ^ swapped))
+
+
+def local_axes(grid: Array) -> tuple[Array, Array]:
+    """Steps to the next column and to the next row at each corner.
+
+    Parameters
+    ----------
+    grid : (R, C, 2)
+        Pixels, NaN where unknown.
+
+    Returns
+    -------
+    across, down : (R, C, 2)
+        Pixels per square, from the neighbours on both sides or on one; NaN without neighbours.
+    """
+    steps = []
+    for axis in (1, 0):
+        gap = np.diff(grid, axis=axis)
+        edge = np.full_like(np.take(grid, [0], axis=axis), np.nan)
+        after = np.concatenate([gap, edge], axis=axis)
+        before = np.concatenate([edge, gap], axis=axis)
+        steps.append(_mean(np.stack([before, after])))
+    return steps[0], steps[1]
+
+
+def _crop(grid: Indices, swapped: bool) -> tuple[Indices, bool]:
+    """Drop empty rows and columns at the rim."""
+    rows, columns = np.flatnonzero((grid >= 0).any(axis=1)), np.flatnonzero((grid >= 0).any(axis=0))
+    moved = bool((rows[0] + columns[0]) % 2)
+    return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], swapped ^ moved
+
+
+def _trim(image: Image, saddles: SaddlePoints, grid: Indices, swapped: bool) -> Indices:
+    """Drop rim rows and columns that are no edges between squares.
+
+    Beyond the board, a narrow margin with something dark behind it shows a saddle at the end of every edge;
+    but along such a row only every second stretch steps the right way, as the margin is bright throughout.
+    """
+    odd = (np.indices(grid.shape).sum(axis=0) % 2 == 1) ^ swapped
+    across = _both(grid[:, :-1], grid[:, 1:]), ~odd[:, :-1]
+    down = _both(grid[:-1], grid[1:]), odd[:-1]
+    along_row, along_column = (
+        known & _is_edge(image, saddles, a.ravel(), b.ravel(), first.ravel()).reshape(a.shape)
+        for (known, a, b), first in (across, down)
+    )
+    while min(grid.shape) > 1:
+        share = [
+            along_row[0].mean(),
+            along_row[-1].mean(),
+            along_column[:, 0].mean(),
+            along_column[:, -1].mean(),
+        ]
+        worst = int(np.argmin(share))
+        if share[worst] > MIN_RIM_SHARE:
+            break
+        kept = (np.s_[1:], np.s_[:-1], np.s_[:, 1:], np.s_[:, :-1])[worst]
+        grid, along_row, along_column = grid[kept], along_row[kept], along_column[kept]
+    return grid
+
+
+def _both(start: Indices, end: Indices) -> tuple[NDArray[np.bool_], Indices, Indices]:
+    return (start >= 0) & (end >= 0), start, end

@@ -1,0 +1,128 @@
+"""Encoded images (jpeg, png, ...) to grey arrays, refusing those that are damaged.
+
+Calibration happens in sensor pixels, so an EXIF orientation is ignored: a picture turned for viewing would
+be a different camera. 16-bit images stay 16 bit.
+
+Decoders are lenient: given half a jpeg, some return a picture whose lower half is grey, and write their
+complaint to stderr. What can be said from the container alone is therefore checked before decoding.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fewcal.errors import InvalidInput
+
+GreyImage: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+"""(H, W) grey values."""
+
+_FLAGS = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+def _jpeg_is_whole(data: bytes) -> bool:
+    # A scan holds no bare marker, so an end marker behind the last start of a scan is the image's own
+    # end; one before it belongs to a thumbnail.
+    return data.rfind(b"\xff\xd9") > data.rfind(b"\xff\xda")
+
+
+def _png_is_whole(data: bytes) -> bool:
+    position = len(_PNG_SIGNATURE)
+    while position + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, position)
+        end = position + 8 + length
+        if end + 4 > len(data):
+            return False
+        if struct.unpack_from(">I", data, end)[0] != zlib.crc32(data[position + 4 : end]):
+            return False
+        if kind == b"IEND":
+            return True
+        position = end + 4
+    return False
+
+
+def _bmp_is_whole(data: bytes) -> bool:
+    return len(data) >= 26 and struct.unpack_from("<I", data, 2)[0] <= len(data)
+
+
+def _tiff_is_whole(data: bytes) -> bool:
+    order = "<" if data.startswith(b"II") else ">"
+    return len(data) >= 8 and struct.unpack_from(order + "I", data, 4)[0] + 2 <= len(data)
+
+
+def _webp_is_whole(data: bytes) -> bool:
+    return len(data) >= 12 and struct.unpack_from("<I", data, 4)[0] + 8 <= len(data)
+
+
+def _pnm_is_whole(data: bytes) -> bool:
+    blank = rb"(?:\s|#[^\n]*\n)+"
+    head = re.match(rb"P([1-6])" + blank + rb"(\d{1,9})" + blank + rb"(\d{1,9})", data)
+    if head is None:
+        return False
+    kind, width, height = (int(head[i]) for i in (1, 2, 3))
+    # Least size of the pixels: binary bitmaps hold 8 of them in a byte, all else at least one.
+    per_row = {4: (width + 7) // 8, 3: 3 * width, 6: 3 * width}.get(kind, width)
+    return len(data) - head.end() >= per_row * height
+
+
+# What a file of each kind begins with, and whether it is all there.
+_KINDS: tuple[tuple[re.Pattern[bytes], Callable[[bytes], bool]], ...] = (
+    (re.compile(rb"\xff\xd8\xff"), _jpeg_is_whole),
+    (re.compile(re.escape(_PNG_SIGNATURE)), _png_is_whole),
+    (re.compile(rb"BM"), _bmp_is_whole),
+    (re.compile(rb"II\*\x00|MM\x00\*"), _tiff_is_whole),
+    (re.compile(rb"P[1-6]\s"), _pnm_is_whole),
+    (re.compile(rb"RIFF....WEBP", re.DOTALL), _webp_is_whole),
+)
+
+
+def looks_like_image(head: bytes) -> bool:
+    """Whether a file that begins with these bytes (16 are enough) is an image of a known kind."""
+    return any(start.match(head) for start, _ in _KINDS)
+
+
+def decode_grey(data: bytes, what: str) -> GreyImage:
+    """Decode an image file held in memory.
+
+    Parameters
+    ----------
+    data : bytes
+        The file: jpeg, png, bmp, tiff, pnm or webp.
+    what : str
+        How to call the image in an error, such as its file name.
+
+    Returns
+    -------
+    ndarray, (H, W), uint8 or uint16
+        Grey values; 16-bit images keep their depth. No EXIF rotation is applied.
+
+    Raises
+    ------
+    InvalidInput
+        When the image is of an unknown kind, cut off or damaged.
+    """
+    is_whole = next((check for start, check in _KINDS if start.match(data)), None)
+    if is_whole is None:
+        raise InvalidInput(
+            f"{what} ({len(data)} bytes) is not an image of a known kind; use jpeg, png, bmp, tiff, pnm or webp."
+        )
+    if not is_whole(data):
+        raise InvalidInput(f"{what} ({len(data)} bytes) is cut off or damaged; leave it out or record it again.")
+    try:
+        image: NDArray[np.generic] | None = cv2.imdecode(np.frombuffer(data, np.uint8), _FLAGS)
+    except cv2.error:
+        image = None
+    if image is None or image.ndim != 2 or image.size == 0:
+        raise InvalidInput(f"{what} ({len(data)} bytes) cannot be decoded; leave it out or record it again.")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InvalidInput(f"{what} holds {image.dtype} pixels; use images of 8 or 16 bit.")
+    return image  # type: ignore[return-value]

@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from fewcal.boards import Chessboard
+from fewcal.errors import InvalidInput
+from fewcal.views import View
+
+OBJECT = Chessboard(4, 3, 0.03).points
+IMAGE = OBJECT[:, :2] * 1000 + 50
+
+
+def test_a_view_keeps_what_it_was_given() -> None:
+    view = View(OBJECT, IMAGE, sigma=0.1, source="left.png", stamp_ns=12)
+    assert len(view) == 12
+    np.testing.assert_array_equal(view.object_points, OBJECT)
+    np.testing.assert_array_equal(view.image_points, IMAGE)
+    assert view.sigma is not None
+    np.testing.assert_array_equal(view.sigma, np.full(12, 0.1))
+    assert (view.source, view.stamp_ns) == ("left.png", 12)
+
+
+def test_sigma_is_optional_and_may_differ_by_point() -> None:
+    assert View(OBJECT, IMAGE).sigma is None
+    sigma = View(OBJECT, IMAGE, np.linspace(0.1, 1, 12)).sigma
+    assert sigma is not None
+    np.testing.assert_array_equal(sigma, np.linspace(0.1, 1, 12))
+
+
+def test_points_without_z_lie_in_the_plane_z_0() -> None:
+    np.testing.assert_array_equal(View(OBJECT[:, :2], IMAGE).object_points, OBJECT)
+
+
+def test_lists_and_integers_are_taken() -> None:
+    view = View([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 0], [9, 0], [9, 9], [0, 9]])
+    assert view.object_points.dtype == view.image_points.dtype == np.float64
+
+
+def test_a_view_cannot_be_changed_through_its_arrays() -> None:
+    image = IMAGE.copy()
+    view = View(OBJECT, image, 0.1)
+    image[0] = -1
+    np.testing.assert_array_equal(view.image_points, IMAGE)
+    for array in (view.object_points, view.image_points, view.sigma):
+        assert array is not None
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@given(
+    hnp.arrays(np.float64, 3, elements=st.floats(-3, 3)), hnp.arrays(np.float64, 3, elements=st.floats(-9, 9))
+)
+def test_a_plane_may_lie_anywhere_in_space(rvec: Any, tvec: Any) -> None:
+    turned = OBJECT @ cv2.Rodrigues(rvec)[0].T + tvec
+    assert len(View(turned, IMAGE)) == 12
+
+
+@given(st.integers(0, 11), st.floats(1e-3, 1))
+def test_a_point_off_the_plane_is_refused(index: int, height: float) -> None:
+    bent = OBJECT.copy()
+    bent[index, 2] = height
+    with pytest.raises(InvalidInput, match="one plane"):
+        View(bent, IMAGE)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ((OBJECT.T, IMAGE), r"object_points must have shape \(N, 3\)"),
+        ((OBJECT[:, :1], IMAGE), r"object_points must have shape"),
+        ((OBJECT[0], IMAGE), r"object_points must have shape"),
+        ((OBJECT, OBJECT), r"image_points must have shape \(N, 2\)"),
+        ((OBJECT, IMAGE[:-1]), "12 object points but 11 image points"),
+        ((OBJECT * np.nan, IMAGE), "object_points holds a value that is not finite"),
+        ((OBJECT, IMAGE * np.inf), "image_points holds a value that is not finite"),
+        (("corners", IMAGE), "object_points must be an array of numbers"),
+        ((OBJECT, None), "image_points"),
+        ((OBJECT, [[1, 2], [3]]), "image_points must be an array of numbers"),
+        ((OBJECT, IMAGE, 0.0), "sigma must be positive"),
+        ((OBJECT, IMAGE, -0.1), "sigma must be positive"),
+        ((OBJECT, IMAGE, [0.1, 0.2]), "one for all points or one for each"),
+        ((OBJECT, IMAGE, np.nan), "sigma holds a value that is not finite"),
+    ],
+)
+def test_correspondences_that_cannot_be_used(arguments: tuple[Any, ...], sentence: str) -> None:
+    with pytest.raises(InvalidInput, match=sentence):
+        View(*arguments)

@@ -1,1 +1,41 @@
 """fewcal: camera calibration from one or two views of a board, with error bars that are true."""
+
+from .boards import Board, Chessboard, parse_board
+from .calibration import Calibration, calibrate
+from .camera import Camera
+from .camera_info import read_camera_info, write_camera_info
+from .constraints import Normal, Priors, RadialPrior, StudentT
+from .errors import (
+    BoardNotFound,
+    DegenerateViews,
+    FewcalError,
+    ImaginaryFocalLength,
+    InvalidInput,
+    ModelFoldsOver,
+)
+from .verdict import Thresholds, Verdict
+from .views import View
+
+__all__ = [
+    "Board",
+    "BoardNotFound",
+    "Calibration",
+    "Camera",
+    "Chessboard",
+    "DegenerateViews",
+    "FewcalError",
+    "ImaginaryFocalLength",
+    "InvalidInput",
+    "ModelFoldsOver",
+    "Normal",
+    "Priors",
+    "RadialPrior",
+    "StudentT",
+    "Thresholds",
+    "Verdict",
+    "View",
+    "calibrate",
+    "parse_board",
+    "read_camera_info",
+    "write_camera_info",
+]

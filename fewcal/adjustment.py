@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .constraints import reprojection
-from .least_squares import NormalEquations
+from .least_squares import NormalEquations, Stop
 from .parametrisation import Parametrisation
 from .views import ViewStack
 
@@ -114,6 +114,25 @@ class Adjustment:
         """Weighted sum of squared reprojection errors, (B, V), px^2."""
         squares: Array = (self.rows(state).r ** 2).sum(axis=2) * self.sigma[:, None] ** 2
         return squares
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The best minimum an estimator found.
+
+    Attributes
+    ----------
+    adjustment : Adjustment
+        The problem, for one start, in units of its noise.
+    geometry : Geometry
+        Its solution, with a batch of one.
+    stop : Stop
+        Why the last iteration stopped.
+    """
+
+    adjustment: Adjustment
+    geometry: Geometry
+    stop: Stop
 
 
 def rotation_from_vector(vector: Array) -> Array:

@@ -31,6 +31,12 @@ _NEWTON_STEPS = 50
 """Both inversions stop by themselves, in about 6 steps; this only bounds a sequence that does not."""
 _NEWTON_TOLERANCE = 1e-14
 """Relative step at which an inversion is as exact as a double can hold."""
+_FOLD_START = 0.9
+"""Where the search starts, as a share of the fold radius, for a point that only p1 and p2 may have pushed
+beyond the fold. Any start from 0.8 to 0.98 finds the same rays in simulated lenses."""
+_FOLD_REACH = 1.2
+"""How far p1 and p2 can move the fold, as a share of its radius, for coefficients up to 0.02; a solution
+farther out lies on another sheet of the polynomial."""
 
 
 class Projection(NamedTuple):
@@ -210,7 +216,8 @@ def undistort(points: Array, coefficients: Array) -> Array:
     """Invert :func:`distort`; NaN where the model has folded over.
 
     The radius is found first, between zero and the fold where it is monotone, by a safeguarded Newton
-    iteration that cannot leave that interval; Newton steps in the plane then account for p1 and p2.
+    iteration that cannot leave that interval; Newton steps in the plane then account for p1 and p2, which
+    also move the fold itself, outwards on one side of the image.
 
     Parameters
     ----------
@@ -227,12 +234,13 @@ def undistort(points: Array, coefficients: Array) -> Array:
     undistorted_radius = _undistort_radius(radius, coefficients)
     xy = points * (undistorted_radius / np.where(radius > 0, radius, 1))[..., None]
     scale = np.maximum(undistorted_radius, np.finfo(float).tiny)
-    determinant = np.ones(xy.shape[:-1])
+    upright = np.ones(xy.shape[:-1], dtype=bool)
     with np.errstate(invalid="ignore", over="ignore"):
         for _ in range(_NEWTON_STEPS):
             error = distort(xy, coefficients) - points
             J, _ = distort_jacobians(xy, coefficients)
             determinant = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] ** 2
+            upright = (determinant > 0) & (J[..., 0, 0] > 0)
             step = (
                 np.stack(
                     [
@@ -247,8 +255,9 @@ def undistort(points: Array, coefficients: Array) -> Array:
             if not np.any(np.abs(step).max(axis=-1) > _NEWTON_TOLERANCE * scale):
                 break
         # The fold itself is where the determinant reaches zero, so a ray beyond it is not the one wanted.
+        far = np.hypot(xy[..., 0], xy[..., 1]) > _FOLD_REACH * fold_radius(coefficients)[..., None]
         missed = ~(np.abs(distort(xy, coefficients) - points).max(axis=-1) <= 1e-9 * (radius + scale))
-    xy[missed | (determinant <= 0)] = np.nan
+    xy[missed | far | ~upright] = np.nan
     return xy
 
 
@@ -404,7 +413,7 @@ def _undistort_radius(distorted: Array, coefficients: Array) -> Array:
             r = following
             if not moved.any():
                 break
-    return np.where(reachable, r, np.nan)
+    return np.where(reachable, r, _FOLD_START * fold)
 
 
 def _as_plumb_bob_order(distortion: Array) -> Array:

@@ -96,32 +96,35 @@ def _fit(image: Image, start: Array, axes: Array) -> tuple[Array, Array, Array, 
     x, values, weights = _windows(image, origin, axes)
     p = _initial(start - origin, axes, x, values, weights)
     damping = np.full(len(p), 1e-3)
-    model, J = _model(p, x)
-    cost = np.sum(weights * (values - model) ** 2, axis=1)
+    cost, normal, gradient = _linearise(p, x, values, weights)
     for _ in range(_ITERATIONS):
-        JW = J * weights[..., None]
-        normal = np.swapaxes(JW, 1, 2) @ J
-        gradient = np.einsum("npk,np->nk", JW, values - model)
-        step = _solve(normal, gradient, damping)
+        step = _solve(normal, gradient[..., None], damping)[..., 0]
         trial = _bounded(p + step)
-        trial_model, trial_J = _model(trial, x)
-        trial_cost = np.sum(weights * (values - trial_model) ** 2, axis=1)
+        trial_cost, trial_normal, trial_gradient = _linearise(trial, x, values, weights)
         better = trial_cost < cost
         damping = np.where(better, damping / 10, damping * 10)
         p[better], cost[better] = trial[better], trial_cost[better]
-        model[better], J[better] = trial_model[better], trial_J[better]
+        normal[better], gradient[better] = trial_normal[better], trial_gradient[better]
         if np.abs(step[:, :2]).max() < _CONVERGED_PX:
             break
-    pixels = weights.sum(axis=1)
+    pixels = np.maximum(weights.sum(axis=1), 1)
     mean = np.sum(weights * values, axis=1) / pixels
     variance = np.sum(weights * (values - mean[:, None]) ** 2, axis=1)
     noise = cost / np.maximum(pixels - _PARAMETERS, 1)
-    normal = np.swapaxes(J * weights[..., None], 1, 2) @ J
     covariance = _solve(normal, np.broadcast_to(np.eye(_PARAMETERS), normal.shape), np.zeros(len(p)))
     spread = np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], 0) / 2
     sigma = np.sqrt(spread * noise + FLOOR_PX**2)
     explained = 1 - cost / np.maximum(variance, 1e-12)
     return origin + p[:, :2], sigma, p[:, 4:6], explained
+
+
+def _linearise(p: Array, x: Array, values: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Sum of squares (N,), normal matrix (N, 10, 10) and right side (N, 10) at given parameters."""
+    model, J = _model(p, x)
+    residual = (values - model) * weights
+    JW = J * weights[:, None]
+    cost = np.einsum("np,np->n", residual, values - model)
+    return cost, JW @ np.swapaxes(J, 1, 2), (J @ residual[..., None])[..., 0]
 
 
 def _windows(image: Image, origin: Array, axes: Array) -> tuple[Array, Array, Array]:
@@ -160,29 +163,37 @@ def _initial(offset: Array, axes: Array, x: Array, values: Array, weights: Array
 
 
 def _model(p: Array, x: Array) -> tuple[Array, Array]:
-    """Brightness (N, P) and its derivatives (N, P, 10) by the parameters."""
-    from_corner = x - p[:, None, :2]
-    cos, sin = np.cos(p[:, None, 2:4]), np.sin(p[:, None, 2:4])
-    across = from_corner[..., 1:] * cos - from_corner[..., :1] * sin  # distance from each edge
-    along = from_corner[..., :1] * cos + from_corner[..., 1:] * sin
-    blur = p[:, None, 4:6]
-    t = across / blur
-    E = erf(t * np.sqrt(0.5))
-    slope = np.sqrt(2 / np.pi) * np.exp(-0.5 * t * t) / blur  # dE / d across
-    a, b = p[:, None, 6], p[:, None, 7]
-    checker = E[..., 0] * E[..., 1]
+    """Brightness (N, P) and its derivatives (N, 10, P) by the parameters."""
+    c_x, c_y, angle, other_angle, blur, other_blur, a, b, g_x, g_y = p.T[..., None]
+    dx, dy = x[:, 0] - c_x, x[:, 1] - c_y
+    E, by_E, along, t, cos, sin = _edge(dx, dy, angle, blur)
+    F, by_F, other_along, other_t, other_cos, other_sin = _edge(dx, dy, other_angle, other_blur)
+    checker = E * F
     reflectance = a + b * checker
-    light = 1 + np.einsum("npi,ni->np", from_corner, p[:, 8:10])
-    J = np.empty((*checker.shape, _PARAMETERS))
-    by_distance = (b * light)[..., None] * slope * E[..., ::-1]  # d I / d distance from each edge
-    J[..., 0] = np.sum(by_distance * sin, axis=2) - reflectance * p[:, None, 8]
-    J[..., 1] = -np.sum(by_distance * cos, axis=2) - reflectance * p[:, None, 9]
-    J[..., 2:4] = -by_distance * along
-    J[..., 4:6] = -by_distance * t
-    J[..., 6] = light
-    J[..., 7] = light * checker
-    J[..., 8:10] = reflectance[..., None] * from_corner
+    light = 1 + g_x * dx + g_y * dy
+    contrast = b * light
+    by_E *= contrast * F  # derivatives of the brightness by the distances from the two edges
+    by_F *= contrast * E
+    J = np.empty((len(p), _PARAMETERS, len(x)))
+    J[:, 0] = by_E * sin + by_F * other_sin - reflectance * g_x
+    J[:, 1] = -by_E * cos - by_F * other_cos - reflectance * g_y
+    J[:, 2] = -by_E * along
+    J[:, 3] = -by_F * other_along
+    J[:, 4] = -by_E * t
+    J[:, 5] = -by_F * other_t
+    J[:, 6] = light
+    J[:, 7] = light * checker
+    J[:, 8] = reflectance * dx
+    J[:, 9] = reflectance * dy
     return reflectance * light, J
+
+
+def _edge(dx: Array, dy: Array, angle: Array, blur: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """E and dE / d distance of one edge, position along it, distance in blurs, cos and sin of its angle."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    t = (dy * cos - dx * sin) / blur
+    slope = np.sqrt(2 / np.pi) * np.exp(-0.5 * t * t) / blur
+    return erf(t * np.sqrt(0.5)), slope, dx * cos + dy * sin, t, cos, sin
 
 
 def _bounded(p: Array) -> Array:
@@ -196,6 +207,4 @@ def _solve(normal: Array, right: Array, damping: Array) -> Array:
     scale = np.sqrt(np.maximum(np.einsum("nkk->nk", normal), 1e-20))
     scaled = normal / (scale[:, :, None] * scale[:, None, :])
     scaled[:, range(_PARAMETERS), range(_PARAMETERS)] += damping[:, None] + 1e-9
-    if right.ndim == 2:
-        return np.asarray(np.linalg.solve(scaled, (right / scale)[..., None])[..., 0] / scale)
     return np.asarray(np.linalg.solve(scaled, right / scale[:, :, None]) / scale[:, :, None])

@@ -26,15 +26,16 @@ EDGE_TOLERANCE_RAD = 0.35
 """How far a neighbour may lie off the direction of an edge: 20 deg, for a short and distorted edge."""
 SECTOR_SHARE = 0.4
 """The same as a share of the narrower sector, so that one direction is never taken for the other."""
-EDGE_SIDE = 0.2
+EDGE_SIDE = 0.25
 """How far to either side of an edge the step is measured, as a share of its length."""
 EDGE_CONTRAST = 0.3
-"""Step across an edge between two corners, as a share of the fainter corner's contrast."""
+"""Step across an edge between two corners, as a share of the stronger corner's contrast."""
 MIN_CORNERS = 6
 """Fewest corners that are worth growing: two squares side by side."""
-MIN_RIM_SHARE = 0.7
-"""Share of the edges along an outer row that must step the right way: a false row has half of them, at most
-two of three, and a true one with a corner missing six of eight."""
+QUADRANT_SHARE = 0.25
+"""Where the four squares about a corner are looked at: half way to their centres."""
+MIN_RIM_SHARE = 0.6
+"""Share of the corners of an outer row at which four squares must meet; a row of three may not lose two."""
 MAX_GRIDS = 3
 """Chains of corners that are grown, largest first."""
 SNAP_SHARE = 0.3
@@ -55,7 +56,7 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
 
     Returns
     -------
-    list of (R, C, 2) arrays, most corners first: pixels, NaN where a corner was not found.
+    list of (R, C, 2) arrays, largest in the image first: pixels, NaN where a corner was not found.
     """
     if len(saddles.points) < MIN_CORNERS:
         return []
@@ -72,10 +73,18 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
     for component in chosen[sizes[chosen] >= MIN_CORNERS]:
         own = label[start] == component
         grid, swapped = _coordinates(saddles, start[own], end[own], along_first[own])
-        grid = _trim(image, saddles, *_grow(grid, swapped, saddles, tree))
-        if min(grid.shape) > 1:
-            grids.append(np.where((grid >= 0)[..., None], saddles.points[grid], np.nan))
-    return sorted(grids, key=lambda grid: -int(np.isfinite(grid[..., 0]).sum()))
+        grid = _grow(grid, swapped, saddles, tree)
+        points = _trim(image, np.where((grid >= 0)[..., None], saddles.points[grid], np.nan))
+        if min(points.shape[:2]) > 1:
+            grids.append(points)
+    return sorted(grids, key=_area, reverse=True)
+
+
+def _area(grid: Array) -> float:
+    """Area of a grid in the image, px^2: its corners times the mean of its squares."""
+    across, down = local_axes(grid)
+    squares = np.abs(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])
+    return float(np.nansum(squares))
 
 
 def _turn(angle: Array) -> Array:
@@ -119,7 +128,7 @@ def _is_edge(
     side = np.stack([-step[:, 1], step[:, 0]], axis=1) * np.where(first, EDGE_SIDE, -EDGE_SIDE)[:, None]
     along = a[:, None] + step[:, None] * np.array([0.3, 0.5, 0.7])[:, None]
     drop = sample(image, along - side[:, None]) - sample(image, along + side[:, None])
-    needed = EDGE_CONTRAST * np.minimum(saddles.contrast[start], saddles.contrast[end])
+    needed = EDGE_CONTRAST * np.maximum(saddles.contrast[start], saddles.contrast[end])
     return np.asarray((drop > needed[:, None]).all(axis=1))
 
 
@@ -200,8 +209,7 @@ def predict(grid: Array) -> tuple[Array, Array]:
         on, back = 2 * after - at(2 * dy, 2 * dx), 2 * before - at(-2 * dy, -2 * dx)
         guess = np.where(np.isfinite(middle), middle, np.where(np.isfinite(on), on, back))
         guesses.append(guess)
-        for neighbour in (before, after):
-            spacings.append(np.hypot(*np.moveaxis(neighbour - guess, -1, 0)))
+        spacings += [np.hypot(*np.moveaxis(near - guess, -1, 0)) for near in (before, after)]
     # An outer corner of an L: three corners of a square give the fourth.
     corner = np.stack([at(dy, 0) + at(0, dx) - at(dy, dx) for dy in (-1, 1) for dx in (-1, 1)])
     either = _mean(np.stack(guesses))
@@ -220,7 +228,7 @@ def _mean(values: Array) -> Array:
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
-def _grow(grid: Indices, swapped: bool, saddles: SaddlePoints, tree: cKDTree) -> tuple[Indices, bool]:
+def _grow(grid: Indices, swapped: bool, saddles: SaddlePoints, tree: cKDTree) -> Indices:
     """Fill gaps and add rings of corners where the grid predicts them and a candidate fits."""
     for _ in range(MAX_RINGS):
         wide = np.pad(grid, 1, constant_values=-1)
@@ -237,7 +245,7 @@ def _grow(grid: Indices, swapped: bool, saddles: SaddlePoints, tree: cKDTree) ->
             break
         wide[rows[once], columns[once]] = nearest[once]
         grid, swapped = _crop(wide, swapped)
-    return grid, swapped
+    return grid
 
 
 def _right_way_round(
@@ -293,33 +301,31 @@ def _crop(grid: Indices, swapped: bool) -> tuple[Indices, bool]:
     return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], swapped ^ moved
 
 
-def _trim(image: Image, saddles: SaddlePoints, grid: Indices, swapped: bool) -> Indices:
-    """Drop rim rows and columns that are no edges between squares.
+def _trim(image: Image, grid: Array) -> Array:
+    """Drop rim rows and columns where no squares meet.
 
-    Beyond the board, a narrow margin with something dark behind it shows a saddle at the end of every edge;
-    but along such a row only every second stretch steps the right way, as the margin is bright throughout.
+    Beyond the board a narrow margin with something dark behind it shows a saddle at the end of every edge, but
+    on the far side of such a row dark and bright do not alternate.
     """
-    odd = (np.indices(grid.shape).sum(axis=0) % 2 == 1) ^ swapped
-    across = _both(grid[:, :-1], grid[:, 1:]), ~odd[:, :-1]
-    down = _both(grid[:-1], grid[1:]), odd[:-1]
-    along_row, along_column = (
-        known & _is_edge(image, saddles, a.ravel(), b.ravel(), first.ravel()).reshape(a.shape)
-        for (known, a, b), first in (across, down)
-    )
-    while min(grid.shape) > 1:
-        share = [
-            along_row[0].mean(),
-            along_row[-1].mean(),
-            along_column[:, 0].mean(),
-            along_column[:, -1].mean(),
-        ]
+    meet = _squares_meet(image, grid)
+    while min(meet.shape) > 1:
+        share = [meet[0].mean(), meet[-1].mean(), meet[:, 0].mean(), meet[:, -1].mean()]
         worst = int(np.argmin(share))
         if share[worst] > MIN_RIM_SHARE:
             break
         kept = (np.s_[1:], np.s_[:-1], np.s_[:, 1:], np.s_[:, :-1])[worst]
-        grid, along_row, along_column = grid[kept], along_row[kept], along_column[kept]
+        grid, meet = grid[kept], meet[kept]
     return grid
 
 
-def _both(start: Indices, end: Indices) -> tuple[NDArray[np.bool_], Indices, Indices]:
-    return (start >= 0) & (end >= 0), start, end
+def _squares_meet(image: Image, grid: Array) -> NDArray[np.bool_]:
+    """Whether two dark and two bright squares surround each corner, crosswise."""
+    across, down = (QUADRANT_SHARE * axes for axes in local_axes(grid))
+    known = np.isfinite(grid + across + down).all(axis=2)
+    quadrants = np.stack(
+        [grid + across + down, grid - across - down, grid + across - down, grid - across + down]
+    )
+    values = sample(image, np.where(known[..., None], quadrants, 0))
+    one, other = values[:2], values[2:]
+    gap = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
+    return known & (gap > EDGE_CONTRAST * np.ptp(values, axis=0))

@@ -9,13 +9,13 @@ is found with the camera by alternation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .adjustment import Adjustment, Geometry
+from .adjustment import Adjustment, Estimate, Geometry
 from .closed_form import simplified_intrinsics
 from .constraints import Priors
 from .errors import DegenerateViews
@@ -48,26 +48,7 @@ _ROUND = Tolerances(gradient=1e-8, step=1e-5, cost=1e-9, iterations=50)
 _FINE = Tolerances()
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """The best minimum found.
-
-    Attributes
-    ----------
-    adjustment : Adjustment
-        The problem at the estimated noise, for one start.
-    geometry : Geometry
-        Its solution, with a batch of one.
-    stop : Stop
-        Why the last iteration stopped.
-    """
-
-    adjustment: Adjustment
-    geometry: Geometry
-    stop: Stop
-
-
-def estimate(views: ViewStack, image_size: tuple[int, int], priors: Priors) -> Estimate:
+def estimate_map(views: ViewStack, image_size: tuple[int, int], priors: Priors) -> Estimate:
     """Find the camera and poses of highest posterior probability.
 
     Parameters
@@ -91,7 +72,7 @@ def estimate(views: ViewStack, image_size: tuple[int, int], priors: Priors) -> E
     state = _best(problem, found.state, found.cost, priors, KEPT_STARTS)
     problem = problem.take(np.arange(len(state.theta)))
     for _ in range(ROUNDS):
-        scatter = _scatter(problem, state, priors)
+        scatter = residual_scatter(problem, state, priors)
         change = np.abs(np.log(CORRELATION * scatter / problem.sigma)).max()
         problem = replace(problem, sigma=CORRELATION * scatter)
         found = minimise(problem, state, _ROUND)
@@ -99,7 +80,9 @@ def estimate(views: ViewStack, image_size: tuple[int, int], priors: Priors) -> E
         if change < SCATTER_TOLERANCE:
             break
     state = _best(problem, state, found.cost, priors, 1)
-    problem = replace(problem, sigma=CORRELATION * _scatter(problem.take(np.arange(1)), state, priors))
+    problem = replace(
+        problem, sigma=CORRELATION * residual_scatter(problem.take(np.arange(1)), state, priors)
+    )
     last = minimise(problem, state, _FINE)
     return Estimate(problem, last.state, Stop(int(last.stop[0])))
 
@@ -144,7 +127,7 @@ def _best(problem: Adjustment, state: Geometry, cost: Array, priors: Priors, cou
             "No camera has these views in front of it; check that object and image points belong together."
         )
     state, problem, cost = Geometry(*(part[usable] for part in state)), problem.take(usable), cost[usable]
-    scatter = _scatter(problem, state, priors)
+    scatter = residual_scatter(problem, state, priors)
     squares = problem.squares(state).sum(axis=1)
     informative = _degrees_of_freedom(problem.views) / CORRELATION**2
     deviation = np.log(scatter / priors.corner_sigma_px[0]) / priors.corner_sigma_px[1]
@@ -161,7 +144,7 @@ def _best(problem: Adjustment, state: Geometry, cost: Array, priors: Priors, cou
     return Geometry(*(part[kept] for part in state))
 
 
-def _scatter(problem: Adjustment, state: Geometry, priors: Priors) -> Array:
+def residual_scatter(problem: Adjustment, state: Geometry, priors: Priors) -> Array:
     """Scatter s of the residuals, pixels: the root of n (1 - q / s^2) + ln(s / s0) / tau^2 = 0.
 
     n is the number of degrees of freedom over CORRELATION^2, q their mean square. The left side is concave

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,29 +11,6 @@ from numpy.typing import NDArray
 from .camera import project_jacobians, project_pixel_model_jacobians
 
 Array = NDArray[np.float64]
-
-
-class Parametrisation(Protocol):
-    """A camera model as a vector of unknowns."""
-
-    @property
-    def size(self) -> int:
-        """Number of unknowns."""
-
-    def project(self, points: Array, theta: Array) -> tuple[Array, Array, Array]:
-        """Project points and differentiate.
-
-        Parameters
-        ----------
-        points : (B, V, N, 3) camera frame, metres
-        theta : (B, size)
-
-        Returns
-        -------
-        pixels : (B, V, N, 2)
-        d_points : (B, V, N, 2, 3)
-        d_theta : (B, V, N, 2, size)
-        """
 
 
 class ScaleFree(NamedTuple):
@@ -102,7 +79,19 @@ class ScaleFree(NamedTuple):
         )
 
     def project(self, points: Array, theta: Array) -> tuple[Array, Array, Array]:
-        """Project points and differentiate, see :class:`Parametrisation`."""
+        """Project points and differentiate.
+
+        Parameters
+        ----------
+        points : (B, V, N, 3) camera frame, metres
+        theta : (B, size)
+
+        Returns
+        -------
+        pixels : (B, V, N, 2)
+        d_points : (B, V, N, 2, 3)
+        d_theta : (B, V, N, 2, size)
+        """
         natural = self.natural(theta)[:, None, :]
         distortion = np.concatenate([natural[..., 4:], np.zeros_like(natural[..., :1])], axis=-1)
         found = project_jacobians(points, natural[..., :4], distortion)
@@ -131,8 +120,12 @@ class PixelModel(NamedTuple):
         return np.concatenate([theta[..., 5:7], np.zeros_like(theta[..., 5:7])], axis=-1)
 
     def project(self, points: Array, theta: Array) -> tuple[Array, Array, Array]:
-        """Project points and differentiate, see :class:`Parametrisation`."""
+        """Project points and differentiate, as :meth:`ScaleFree.project` does."""
         parts = theta[:, None, :]
         found = project_pixel_model_jacobians(points, parts[..., :5], self.coefficients(parts))
         d_theta = np.concatenate([found.d_intrinsics, found.d_distortion], axis=-1)
         return found.pixels, found.d_points, d_theta[..., : self.size]
+
+
+Parametrisation: TypeAlias = ScaleFree | PixelModel
+"""The two camera models that an adjustment solves for."""

@@ -113,10 +113,12 @@ def decode_grey(data: bytes, what: str) -> GreyImage:
     is_whole = next((check for start, check in _KINDS if start.match(data)), None)
     if is_whole is None:
         raise InvalidInput(
-            f"{what} ({len(data)} bytes) is not an image of a known kind; use jpeg, png, bmp, tiff, pnm or webp."
+            f"{what} ({len(data)} bytes) is no image of a known kind; use jpeg, png, bmp, tiff, pnm or webp."
         )
     if not is_whole(data):
-        raise InvalidInput(f"{what} ({len(data)} bytes) is cut off or damaged; leave it out or record it again.")
+        raise InvalidInput(
+            f"{what} ({len(data)} bytes) is cut off or damaged; leave it out or record it again."
+        )
     try:
         image: NDArray[np.generic] | None = cv2.imdecode(np.frombuffer(data, np.uint8), _FLAGS)
     except cv2.error:

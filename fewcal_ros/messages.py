@@ -46,20 +46,20 @@ class Frame:
 class _Layout:
     """How an encoding lays out a pixel: bits and number of its samples, and how they become grey.
 
-    ``to_grey`` is the index of the sample that is grey already, or an OpenCV conversion code.
+    Without an OpenCV ``conversion``, the sample at index ``grey_sample`` is grey already.
     """
 
     bits: int
     samples: int
-    grey_sample: int | None = None
+    grey_sample: int = 0
     conversion: int | None = None
 
 
 _SINGLE = {
-    **{name: _Layout(8, 1, grey_sample=0) for name in ("mono8", "8UC1")},
-    **{name: _Layout(16, 1, grey_sample=0) for name in ("mono16", "16UC1")},
+    **{name: _Layout(8, 1) for name in ("mono8", "8UC1")},
+    **{name: _Layout(16, 1) for name in ("mono16", "16UC1")},
     # Planar YUV: the Y plane comes first and is all that is needed.
-    **{name: _Layout(8, 1, grey_sample=0) for name in ("nv21", "nv24")},
+    **{name: _Layout(8, 1) for name in ("nv21", "nv24")},
 }
 
 _PACKED_YUV = {
@@ -129,10 +129,10 @@ def image_to_grey(msg: Any) -> GreyImage:
     layout = _LAYOUTS.get(msg.encoding)
     if layout is None:
         raise InvalidInput(
-            f"The image encoding {msg.encoding!r} is not supported; publish one of {', '.join(sorted(_LAYOUTS))}."
+            f"The image encoding {msg.encoding!r} is not supported; use one of {', '.join(sorted(_LAYOUTS))}."
         )
     samples = _samples(msg, layout)
-    if layout.grey_sample is not None:
+    if layout.conversion is None:
         return np.ascontiguousarray(samples[:, :, layout.grey_sample])
     try:
         return cv2.cvtColor(np.ascontiguousarray(samples), layout.conversion)  # type: ignore[return-value]
@@ -152,7 +152,9 @@ def _samples(msg: Any, layout: _Layout) -> GreyImage:
     sample_bytes = layout.bits // 8
     row_bytes = width * layout.samples * sample_bytes
     if step < row_bytes:
-        raise InvalidInput(f"{what} has a step of {step} bytes but a row takes {row_bytes}; fix step in the driver.")
+        raise InvalidInput(
+            f"{what} has a step of {step} bytes but a row takes {row_bytes}; fix step in the driver."
+        )
     data = memoryview(msg.data)
     needed = step * (height - 1) + row_bytes
     if data.nbytes < needed:

@@ -19,7 +19,8 @@ import zstandard
 T = TypeVar("T")
 
 
-class Topic(NamedTuple):
+@dataclass(frozen=True, order=True)
+class Topic:
     """A topic of a recording: its name, message type (``package/msg/Name``) and number of messages."""
 
     name: str
@@ -58,7 +59,7 @@ class Damage:
     def sentence(self, name: str, read: int, what: str) -> str:
         """Say what is broken and that the ``read`` frames or messages (``what``) are used all the same."""
         if not self.places:
-            return f"{name} is cut off after {read} {what}; those are used."
+            return f"{name} is cut off or damaged after {read} {what}; those are used."
         where = f"{self.places} place" + "s" * (self.places > 1)
         end = " and cut off" * self.cut_off
         return f"{name} is damaged in {where}{end}; the {read} {what} that can be read are used."

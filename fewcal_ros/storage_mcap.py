@@ -52,7 +52,11 @@ class McapStorage:
         """Topics and times, from the statistics record or by reading through the file."""
         if self._index is not None:
             stats = self._index.statistics
-            counts, start, end = stats.channel_message_counts, stats.message_start_time, stats.message_end_time
+            counts, start, end = (
+                stats.channel_message_counts,
+                stats.message_start_time,
+                stats.message_end_time,
+            )
         else:
             tally = Tally()
             for message in self._walk_file():
@@ -101,32 +105,33 @@ class McapStorage:
         self.damage.cut_off = True  # a file that was closed has a footer
 
     def _chunk(self, record: bytes, whole: bool) -> Iterator[_Message]:
-        """Messages of a chunk; of one that was cut off, those before the cut.
-
-        A chunk that is all there but does not unpack to what its checksum says is left out: nobody knows
-        which of its messages are intact.
-        """
-        try:
-            chunk = Chunk.read(ReadDataStream(BytesIO(record)))
-            data = decompress(chunk.compression, chunk.data)
-            intact = len(data) == chunk.uncompressed_size and (
-                chunk.uncompressed_crc in (0, zlib.crc32(data))
-            )
-        except Exception:
-            intact, data = False, b""
-        if whole and not intact:
+        """Messages of a chunk; of one that was cut off, those before the cut."""
+        damage = Damage()
+        yield from until_damage(self._walk_chunk(record, whole), damage)
+        if whole and damage:
             self.damage.places += 1
-            return
+
+    def _walk_chunk(self, record: bytes, whole: bool) -> Iterator[_Message]:
+        chunk = Chunk.read(ReadDataStream(BytesIO(record)))
+        data = decompress(chunk.compression, chunk.data)
+        # A chunk that is all there but not what its checksum says is left out altogether: nobody knows
+        # which of its messages are intact.
+        if whole and (
+            len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in (0, zlib.crc32(data))
+        ):
+            raise ValueError("checksum")
         stream = BytesIO(data)
         for opcode, start, length in _records(stream, len(data)):
-            if start + length <= len(data):
-                yield from self._record(opcode, stream, length)
+            if start + length > len(data):
+                raise EOFError
+            yield from self._record(opcode, stream, length)
 
     def _record(self, opcode: int, stream: BinaryIO, length: int) -> Iterator[_Message]:
         """The message that starts here; schemas and channels are remembered, all else is passed over."""
         if opcode == Opcode.MESSAGE:
-            channel, _, log_time_ns, _ = _MESSAGE_HEAD.unpack(stream.read(_MESSAGE_HEAD.size))
-            yield _Message(channel, log_time_ns, stream.read(length - _MESSAGE_HEAD.size))
+            record = stream.read(length)
+            channel, _, log_time_ns, _ = _MESSAGE_HEAD.unpack_from(record)
+            yield _Message(channel, log_time_ns, record[_MESSAGE_HEAD.size :])
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(ReadDataStream(BytesIO(stream.read(length))))
             self._schemas[schema.id] = schema
@@ -135,7 +140,7 @@ class McapStorage:
             self._channels[channel_record.id] = channel_record
 
     def _read_index(self) -> _Index | None:
-        """Read the summary section into statistics, chunks, schemas and channels; None if it cannot be trusted."""
+        """Read the summary section, schemas and channels included; None if it cannot be trusted."""
         try:
             section = _summary_section(self._path)
             records = list(StreamReader(BytesIO(section), skip_magic=True).records) if section else []

@@ -1,0 +1,298 @@
+"""From views to a camera: the steps in order, and the result."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .adjustment import Estimate
+from .camera import Camera
+from .constraints import PRIOR_ROWS, Priors
+from .errors import InvalidInput
+from .least_squares import Stop
+from .map_estimator import CORRELATION, estimate_map, residual_scatter
+from .parametrisation import PixelModel, ScaleFree
+from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
+from .posterior import NAMES, determined_share, posterior, projection_std
+from .verdict import Evidence, Thresholds, Verdict, judge, tilt_deg
+from .views import View, stack_views
+from .zhu2020 import estimate_zhang, estimate_zhu2020
+
+Array = NDArray[np.float64]
+
+METHODS = ("map", "zhu2020", "zhang")
+"""The default estimator, the paper's, and the one the paper compares itself with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A camera, and how far to trust it.
+
+    Attributes
+    ----------
+    camera : Camera
+        With distortion (5,) k1, k2, p1, p2, k3 of plumb_bob.
+    image_size : (width, height), pixels
+    method : str
+    views : tuple of View
+    board_poses : tuple of (4, 4)
+        T_camera_board of each view, metres.
+    view_rms : (V,)
+        Root mean square distance of projected and observed points of each view, pixels.
+    rms : float
+        The same over all points, pixels.
+    pixel_distortion : (4,)
+        k1, k2, k3, k4 of the paper's eqs 10-13. The methods zhu2020 and zhang estimate these, and
+        `camera.distortion` is the nearest plumb_bob; for map it is the other way round.
+    skew : float
+        Pixels; zero unless the method estimates it.
+    covariance : (8, 8) or None
+        Of fx, fy, cx, cy, k1, k2, p1, p2, in their units; None for zhang.
+    determined : dict or None
+        For each of the unknowns (focal length, aspect ratio, ...) the share of its prior variance that the
+        data removed, 0 to 1. Only for map.
+    prior_conflicts : dict
+        Residual, in standard deviations, of each prior that the estimate contradicts.
+    sigma_px : float
+        Standard deviation of a point that the error bars rest on, pixels.
+    verdict : Verdict
+    """
+
+    camera: Camera
+    image_size: tuple[int, int]
+    method: str
+    views: tuple[View, ...]
+    board_poses: tuple[Array, ...]
+    view_rms: Array
+    rms: float
+    pixel_distortion: Array
+    skew: float
+    covariance: Array | None
+    determined: dict[str, float] | None
+    prior_conflicts: dict[str, float]
+    sigma_px: float
+    verdict: Verdict
+
+    @property
+    def std(self) -> dict[str, float] | None:
+        """One sigma of fx, fy, cx, cy (pixels), k1, k2, p1, p2; None for zhang."""
+        if self.covariance is None:
+            return None
+        return dict(zip(NAMES, np.sqrt(np.diagonal(self.covariance)).tolist(), strict=True))
+
+    @property
+    def focal_std(self) -> float | None:
+        """Relative one sigma of the focal length fx; None for zhang."""
+        return None if self.covariance is None else _focal_std(self.covariance, self.camera)
+
+    @cached_property
+    def tilts_deg(self) -> Array:
+        """(V,) angle between each board and the image plane, degrees."""
+        return tilt_deg(np.stack(self.board_poses)[:, :3, :3])
+
+    def projection_std(self, pixels: ArrayLike) -> Array:
+        """One sigma of where a known direction projects.
+
+        Parameters
+        ----------
+        pixels : array_like, (N, 2)
+            Where the direction projects by this camera.
+
+        Returns
+        -------
+        (N,) pixels, in the worst direction in the image; NaN beyond the fold of the distortion model.
+
+        Raises
+        ------
+        InvalidInput
+            For the method zhang, which reports no uncertainty.
+        """
+        if self.covariance is None:
+            raise InvalidInput('The method "zhang" reports no uncertainty; use "map".')
+        uv = np.asarray(pixels, dtype=np.float64)
+        if uv.ndim != 2 or uv.shape[1] != 2:
+            raise InvalidInput(f"pixels must have shape (N, 2), not {uv.shape}.")
+        return projection_std(self.camera, self.covariance, uv)
+
+
+def calibrate(
+    views: Sequence[View],
+    image_size: tuple[int, int],
+    method: str = "map",
+    priors: Priors = Priors(),
+    thresholds: Thresholds = Thresholds(),
+) -> Calibration:
+    """Calibrate a camera from one, two or more views of a planar board.
+
+    Parameters
+    ----------
+    views : sequence of View
+    image_size : (width, height)
+        Pixels.
+    method : {"map", "zhu2020", "zhang"}
+        The default estimator, the paper's (Zhu et al. 2020), or Zhang's as that paper runs it.
+    priors : Priors
+        What is known of the camera beforehand; used by map.
+    thresholds : Thresholds
+        Where the verdict draws its lines.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    InvalidInput
+        When an argument is not what it should be.
+    DegenerateViews
+        When the points of a view are too few or collinear, or no camera fits.
+    ImaginaryFocalLength
+        When the closed form of zhu2020 or zhang finds no focal length.
+    """
+    size = _checked_size(image_size)
+    views = tuple(views)
+    if not all(isinstance(view, View) for view in views):
+        raise InvalidInput("views must be a list of fewcal.View.")
+    stack = stack_views(views)
+    if method == "map":
+        found = estimate_map(stack, size, priors)
+    elif method == "zhu2020":
+        found = estimate_zhu2020(stack, size)
+    elif method == "zhang":
+        found = estimate_zhang(stack)
+    else:
+        raise InvalidInput(f"There is no method {method!r}; choose one of {', '.join(METHODS)}.")
+    model = found.adjustment.model
+    if isinstance(model, ScaleFree):
+        solution = _map_solution(found, model)
+    else:
+        solution = _pixel_solution(found, model, size, priors)
+    return _result(found, solution, views, size, method, thresholds)
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """What an estimator found, in the terms of every method."""
+
+    camera: Camera
+    pixel_distortion: Array
+    skew: float
+    sigma_px: float
+    covariance: Array | None
+    determined: dict[str, float] | None
+    prior_conflicts: dict[str, float]
+
+
+def _map_solution(found: Estimate, model: ScaleFree) -> _Solution:
+    theta = found.geometry.theta[0]
+    natural = model.natural(theta)
+    fx, fy, cx, cy = natural[:4].tolist()
+    camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
+    rows = found.adjustment.rows(found.geometry)
+    result = posterior(rows)
+    J = model.natural_jacobian(theta)
+    return _Solution(
+        camera,
+        from_plumb_bob(camera),
+        0.0,
+        float(found.adjustment.sigma[0]),
+        J @ result.covariance @ J.T,
+        _worst_by_name(1 - determined_share(result), lambda open_share: 1 - open_share),
+        _worst_by_name(np.abs(rows.prior[0]), float),
+    )
+
+
+def _pixel_solution(found: Estimate, model: PixelModel, size: tuple[int, int], priors: Priors) -> _Solution:
+    theta = found.geometry.theta[0]
+    coefficients = model.coefficients(theta)
+    sigma = CORRELATION * float(residual_scatter(found.adjustment, found.geometry, priors)[0])
+    covariance: Array | None = None
+    if model.tangential:
+        result = posterior(found.adjustment.rows(found.geometry))
+        J = plumb_bob_jacobian(theta)
+        known = np.isfinite(result.covariance).all()
+        covariance = J @ result.covariance @ J.T * sigma**2 if known else np.full((8, 8), np.inf)
+    camera = nearest_plumb_bob(theta[:5], coefficients, size)
+    return _Solution(camera, coefficients, float(theta[4]), sigma, covariance, None, {})
+
+
+def _worst_by_name(values: Array, convert: Callable[[float], float]) -> dict[str, float]:
+    """Gather rows that speak of one quantity under its name, keeping the largest value."""
+    worst: dict[str, float] = {}
+    for name, value in zip(PRIOR_ROWS, values.tolist(), strict=True):
+        worst[name] = max(value, worst.get(name, value))
+    return {name: convert(value) for name, value in worst.items()}
+
+
+def _result(
+    found: Estimate,
+    solution: _Solution,
+    views: tuple[View, ...],
+    size: tuple[int, int],
+    method: str,
+    thresholds: Thresholds,
+) -> Calibration:
+    stack = found.adjustment.views
+    rotation, position = found.geometry.rotation[0], found.geometry.position[0]
+    poses = np.tile(np.eye(4), (len(views), 1, 1))
+    poses[:, :3, :3] = rotation
+    poses[:, :3, 3] = position - (rotation @ stack.centroid[..., None])[..., 0]
+    counts = (stack.weights > 0).sum(axis=1)
+    squares = _squared_errors(found)
+    covariance = solution.covariance
+    evidence = Evidence(
+        rotations=rotation,
+        extents=np.array([np.linalg.norm(np.ptp(v.image_points, axis=0)) for v in views]) / np.hypot(*size),
+        camera=solution.camera,
+        image_size=size,
+        focal_std=None if covariance is None else _focal_std(covariance, solution.camera),
+        conflicts={
+            name: residual
+            for name, residual in solution.prior_conflicts.items()
+            if (solution.determined or {}).get(name, 0.0) < thresholds.settled_share
+        },
+        converged=found.stop != Stop.ITERATIONS,
+    )
+    return Calibration(
+        camera=solution.camera,
+        image_size=size,
+        method=method,
+        views=views,
+        board_poses=tuple(poses),
+        view_rms=np.sqrt(squares / counts),
+        rms=float(np.sqrt(squares.sum() / counts.sum())),
+        pixel_distortion=solution.pixel_distortion,
+        skew=solution.skew,
+        sigma_px=solution.sigma_px,
+        covariance=covariance,
+        determined=solution.determined,
+        prior_conflicts={n: r for n, r in solution.prior_conflicts.items() if r > thresholds.conflict},
+        verdict=judge(evidence, thresholds),
+    )
+
+
+def _focal_std(covariance: Array, camera: Camera) -> float:
+    return float(np.sqrt(covariance[0, 0])) / camera.fx
+
+
+def _squared_errors(found: Estimate) -> Array:
+    """Sum of squared distances between projected and observed points of each view, (V,), px^2."""
+    views = found.adjustment.views
+    unweighted = views._replace(weights=(views.weights > 0).astype(float))
+    squares: Array = replace(found.adjustment, views=unweighted).squares(found.geometry)[0]
+    return squares
+
+
+def _checked_size(image_size: tuple[int, int]) -> tuple[int, int]:
+    try:
+        width, height = (operator.index(length) for length in image_size)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"image_size must be (width, height) in pixels, not {image_size!r}.") from None
+    if width < 1 or height < 1:
+        raise InvalidInput(f"image_size must be positive, not {width}x{height}.")
+    return width, height

@@ -1,0 +1,245 @@
+"""Find a chessboard in an image, and say why when there is none to use.
+
+    image -> reduced copies, coarse to fine -> saddle points -> grid -> corners at full resolution -> View
+
+The coarse copies make it fast, above all where there is no board. A board that shows at none of them is
+looked for at full size only when a finer copy shows the beginnings of one.
+
+The order of the corners is that of ``Chessboard.points``, and it is always the same for the same view:
+
+- x cross y points away from the camera: the board is never mirrored. (A board seen in a mirror is a valid
+  view all the same: a chessboard is its own mirror image.)
+- Of the turns that remain, the first corner is one whose outer square, the corner square of the board, is
+  black. When columns and rows differ by an odd number (9x6) this settles it.
+- Where it does not, the board looks the same when turned, and the first corner is the one nearest to the
+  top left corner of the image, measured as u + v.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .boards import Chessboard
+from .corner_refinement import RefinedCorners, refine_corners
+from .errors import BoardNotFound
+from .grey import GreyImage, as_grey
+from .grid import find_grids, local_axes, predict
+from .planarity import planar_residuals
+from .saddle_points import find_saddle_points, sample
+from .views import View
+
+Array = NDArray[np.float64]
+
+COARSEST_PX = 400
+"""No reduced copy is smaller than this on its long side: a board across half of it has squares of 20 px."""
+SEARCHED_PX = 1000
+"""Copies up to this size are always searched, larger ones only when there is evidence of a board; on a
+1920x1080 image that is every copy but the full one."""
+MIN_EVIDENCE = 6
+"""Corners in a grid that make it worth while to look at a finer copy."""
+EDGE_WIDTH_PER_BLUR = 2.563
+"""Width of an edge between 10 % and 90 % of its step, in Gaussian standard deviations."""
+MAX_EDGE_SHARE = 0.5
+"""Widest edge, as a share of the square: beyond it the edges of one square run into each other."""
+BORDER_SHARE = 1.0
+"""A missing row that would lie this close to the border of the image, in squares, is cut off by it: the
+outer squares must be seen too."""
+MAX_BAD_SHARE = 0.1
+"""Share of the corners that may be found again from their neighbours after a first failure."""
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """A board found in an image.
+
+    Attributes
+    ----------
+    view : View
+        The correspondences, with the sd of each corner.
+    edge_width_px : float
+        How wide the edges of the squares are in the image, between 10 % and 90 % of the step from black to
+        white: median over the corners, in the direction in which it is larger. 2 px is sharp; defocus and
+        motion widen it.
+    square_px : float
+        Median length of the shorter side of the squares in the image.
+    """
+
+    view: View
+    edge_width_px: float
+    square_px: float
+
+    @property
+    def sharpness(self) -> float:
+        """Inverse of the edge width, per pixel: 0.5 is sharp, 0.1 is out of focus or in motion."""
+        return 1 / self.edge_width_px
+
+
+def detect(image: NDArray[Any], board: Chessboard, source: str = "", stamp_ns: int | None = None) -> View:
+    """Find a board in an image.
+
+    Parameters
+    ----------
+    image : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) array of uint8 or uint16
+        Grey, BGR(A) or RGB(A).
+    board : Chessboard
+        The board to look for.
+    source : str
+        Where the image comes from; kept in the view.
+    stamp_ns : int, optional
+        Time of the image, nanoseconds; kept in the view.
+
+    Returns
+    -------
+    View with the corners in the order of ``board.points`` and one sd for each, pixels.
+
+    Raises
+    ------
+    BoardNotFound
+        When the whole board cannot be located; `reason` is one of ``BoardNotFound.REASONS``.
+    InvalidInput
+        When the array is no image.
+    """
+    return detect_board(image, board, source, stamp_ns).view
+
+
+def detect_board(
+    image: NDArray[Any], board: Chessboard, source: str = "", stamp_ns: int | None = None
+) -> Detection:
+    """Find a board as :func:`detect` does, and measure how sharply the image shows it."""
+    grey = as_grey(image)
+    grid = _find_grid(grey, board)
+    corners = _locate(grey, grid)
+    square = float(np.median(np.minimum(*(np.linalg.norm(a, axis=2) for a in local_axes(corners.points)))))
+    edge_width = EDGE_WIDTH_PER_BLUR * float(np.median(corners.blur, axis=(0, 1)).max())
+    if edge_width > MAX_EDGE_SHARE * square:
+        raise BoardNotFound(
+            "blurred",
+            f"The edges of the squares are {edge_width:.1f} px wide and the squares {square:.1f} px; "
+            "hold the board still, or focus.",
+        )
+    points, sigma = _in_order(grey, corners, board)
+    view = View(board.points, points, sigma, source, stamp_ns)
+    return Detection(view, edge_width, square)
+
+
+def _find_grid(grey: GreyImage, board: Chessboard) -> Array:
+    """Grid of the board's size, (R, C, 2) pixels of the full image, approximate, gaps as NaN."""
+    best = np.empty((0, 0, 2))
+    for factor in _reductions(grey):
+        if max(grey.shape) / factor > SEARCHED_PX and best.shape[0] * best.shape[1] < MIN_EVIDENCE:
+            break
+        reduced = _reduce(grey, factor)
+        for grid in find_grids(reduced, find_saddle_points(reduced)):
+            full = (grid + 0.5) * factor - 0.5
+            if sorted(grid.shape[:2]) == sorted((board.columns, board.rows)):
+                return full
+            if grid.shape[0] * grid.shape[1] > best.shape[0] * best.shape[1]:
+                best = full
+    raise _not_found(grey, best, board)
+
+
+def _reductions(grey: GreyImage) -> list[int]:
+    """Factors of the reduced copies, coarse to fine, each half the one before."""
+    factor = 1
+    while max(grey.shape) / (2 * factor) >= COARSEST_PX and min(grey.shape) >= 4 * factor:
+        factor *= 2
+    return [factor >> k for k in range(factor.bit_length())]
+
+
+def _reduce(grey: GreyImage, factor: int) -> GreyImage:
+    """Mean over blocks of factor x factor pixels; a rest at the right and the bottom is left out."""
+    if factor == 1:
+        return grey
+    height, width = (size // factor for size in grey.shape)
+    block = grey[: height * factor, : width * factor]
+    return cv2.resize(block, (width, height), interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
+
+
+def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound:
+    """Say why the largest grid of the image is not the board."""
+    rows, columns = sorted(grid.shape[:2])
+    asked_rows, asked_columns = sorted((board.rows, board.columns))
+    if rows < 3:
+        return BoardNotFound(
+            "no board", "No chessboard is to be seen; show it whole, well lit, with a white margin."
+        )
+    if board.columns < board.rows:
+        rows, columns, asked_rows, asked_columns = columns, rows, asked_columns, asked_rows
+    found, asked = f"{columns}x{rows}", f"{asked_columns}x{asked_rows}"
+    if rows <= asked_rows and columns <= asked_columns and _at_border(grey, grid):
+        return BoardNotFound(
+            "cut off",
+            f"Only {found} of the {asked} interior corners are in the image; bring the whole board into it.",
+        )
+    hint = "give the size of the board that is shown"
+    if (columns, rows) == (asked_columns - 1, asked_rows - 1):
+        hint = f"a board of {asked} squares has {found} interior corners"
+    return BoardNotFound(
+        "wrong size", f"Found {found} interior corners where {asked} were asked for; {hint}."
+    )
+
+
+def _at_border(grey: GreyImage, grid: Array) -> bool:
+    """Whether the next row or column beyond a grid would touch the border of the image."""
+    wide = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    beyond, _ = predict(wide)
+    size = np.array(grey.shape[::-1])
+    with np.errstate(invalid="ignore"):
+        outside = ((beyond < 0) | (beyond > size - 1)).any(axis=2)
+    return bool(outside.any())
+
+
+def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
+    """Corners at full resolution; those that fail are looked for again where the others put them."""
+    prediction, _ = predict(grid)
+    grid = np.where(np.isfinite(grid), grid, prediction)
+    corners = refine_corners(grey, grid)
+    for _ in range(2):
+        residuals, allowed = planar_residuals(corners)
+        bad = ~corners.good | (np.linalg.norm(residuals, axis=2) > allowed)
+        if not bad.any():
+            return corners
+        if bad.mean() > MAX_BAD_SHARE:
+            break
+        corners = refine_corners(grey, np.where(bad[..., None], corners.points - residuals, corners.points))
+    if corners.good.all():
+        raise BoardNotFound(
+            "not planar",
+            f"{int(bad.sum())} of the {bad.size} corners do not lie where a flat board would show them; "
+            "hold the board flat and free of reflections, and look again.",
+        )
+    raise BoardNotFound(
+        "cut off",
+        f"{int((~corners.good).sum())} of the {bad.size} corners cannot be seen; uncover the whole board and "
+        "keep reflections off it.",
+    )
+
+
+def _in_order(grey: GreyImage, corners: RefinedCorners, board: Chessboard) -> tuple[Array, Array]:
+    """Corners (N, 2) and sigma (N,) in the order of ``board.points``; see the module for the convention."""
+    grid = np.concatenate([corners.points, corners.sigma[..., None]], axis=2)
+    across, down = (np.mean(a, axis=(0, 1)) for a in local_axes(corners.points))
+    if across[0] * down[1] - across[1] * down[0] < 0:
+        grid = grid[:, ::-1]
+    turns = [
+        turn
+        for turn in (np.rot90(grid, k) for k in range(4))
+        if turn.shape[:2] == (board.rows, board.columns)
+    ]
+    black = [_first_is_black(grey, turn[..., :2]) for turn in turns]
+    first = min(range(len(turns)), key=lambda k: (not black[k], turns[k][0, 0, :2].sum()))
+    ordered = np.ascontiguousarray(turns[first]).reshape(-1, 3)
+    return ordered[:, :2], ordered[:, 2]
+
+
+def _first_is_black(grey: GreyImage, grid: Array) -> bool:
+    """Whether the square beyond the first corner is black: it is like every second one on the diagonal."""
+    centres = (grid[:-1, :-1] + grid[1:, 1:] + grid[:-1, 1:] + grid[1:, :-1]) / 4
+    brightness = sample(grey, centres)
+    like_first = np.indices(brightness.shape).sum(axis=0) % 2 == 0
+    return bool(brightness[like_first].mean() < brightness[~like_first].mean())

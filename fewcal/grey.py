@@ -1,0 +1,51 @@
+"""Any picture, as one plane of grey levels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InvalidInput
+
+GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+def as_grey(image: NDArray[Any]) -> GreyImage:
+    """Reduce a picture to grey levels of its own depth.
+
+    Parameters
+    ----------
+    image : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) array of uint8 or uint16
+        Grey or colour. Colour is taken as BGR(A), OpenCV's order; RGB(A) serves as well, since a board is
+        black and white and only the weights of red and blue change places.
+
+    Returns
+    -------
+    (H, W) array of the same type, contiguous.
+
+    Raises
+    ------
+    InvalidInput
+        When it is no such array.
+    """
+    if not isinstance(image, np.ndarray):
+        raise InvalidInput(f"An image must be a numpy array, not {type(image).__name__}.")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InvalidInput(
+            f"An image must hold uint8 or uint16, not {image.dtype}; scale and convert it first."
+        )
+    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3, 4)) or image.size == 0:
+        raise InvalidInput(
+            f"An image must have shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), not {image.shape}."
+        )
+    if image.dtype.byteorder == ">" or (image.dtype.byteorder == "=" and np.little_endian is False):
+        image = image.astype(image.dtype.newbyteorder("="))
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    if channels == 1:
+        return np.ascontiguousarray(image.reshape(image.shape[:2]))
+    code = cv2.COLOR_BGR2GRAY if channels == 3 else cv2.COLOR_BGRA2GRAY
+    grey: GreyImage = cv2.cvtColor(np.ascontiguousarray(image), code)
+    return grey

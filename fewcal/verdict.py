@@ -1,0 +1,183 @@
+"""Whether a calibration is fit for use, and if not, what to do about it.
+
+A low RMS says nothing here: one view fits thousands of cameras equally well. The verdict looks at what the
+posterior leaves open and at the arrangements of views that are known to leave a camera undetermined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Where usable ends.
+
+    Parameters
+    ----------
+    focal_std : float
+        Largest relative standard deviation of the focal length.
+    tilt_deg : float
+        A board nearer to parallel with the image shows no perspective to speak of.
+    plane_angle_deg : float
+        Boards nearer to parallel with each other count as one view.
+    board_extent : float
+        Smallest diagonal of a view's points, as a share of the image diagonal.
+    conflict : float
+        Residual of a prior, in standard deviations, from which camera and prior disagree.
+    settled_share : float
+        Share determined by the data from which a conflict with the prior no longer matters.
+    """
+
+    focal_std: float = 0.02
+    tilt_deg: float = 5.0
+    plane_angle_deg: float = 5.0
+    board_extent: float = 0.15
+    conflict: float = 3.0
+    settled_share: float = 0.99
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer to "can I use this?".
+
+    Attributes
+    ----------
+    usable : bool
+    reasons : tuple of str
+        Each a sentence: what is wrong, and what to do. Empty when nothing is.
+    """
+
+    usable: bool
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a verdict rests on.
+
+    Attributes
+    ----------
+    rotations : (V, 3, 3) from board to camera
+    extents : (V,) diagonal of each view's points over the image diagonal
+    camera : Camera
+    image_size : (width, height), pixels
+    focal_std : float or None
+        Relative one sigma of the focal length; None where the method reports none.
+    conflicts : dict
+        Residual of each prior in standard deviations, of those that the data did not settle.
+    converged : bool
+    """
+
+    rotations: Array
+    extents: Array
+    camera: Camera
+    image_size: tuple[int, int]
+    focal_std: float | None
+    conflicts: dict[str, float]
+    converged: bool
+
+
+def judge(evidence: Evidence, thresholds: Thresholds = Thresholds()) -> Verdict:
+    """Decide whether a calibration is usable, and say why when it is not."""
+    reasons = (
+        *degeneracies(evidence.rotations, evidence.extents, thresholds),
+        *_doubts(evidence, thresholds),
+    )
+    return Verdict(not reasons, reasons)
+
+
+def degeneracies(rotations: Array, extents: Array, thresholds: Thresholds = Thresholds()) -> Iterator[str]:
+    """Name the arrangements of views that leave a camera undetermined.
+
+    Parameters
+    ----------
+    rotations : (V, 3, 3) from board to camera
+    extents : (V,) diagonal of each view's points over the image diagonal
+    thresholds : Thresholds
+    """
+    tilts = tilt_deg(rotations)
+    if np.all(tilts < thresholds.tilt_deg):
+        yield (
+            f"Fronto-parallel: the board is within {_up(tilts.max())} deg of parallel to the image, which says "
+            "nothing of the focal length; tilt it by 30 deg or more."
+        )
+    elif len(rotations) > 1:
+        yield from _parallel(rotations, thresholds)
+    if np.all(extents < thresholds.board_extent):
+        yield (
+            f"Board too small in the image: it spans {100 * extents.max():.0f} % of the diagonal; "
+            "bring it nearer, so that it spans a third or more."
+        )
+
+
+def tilt_deg(rotations: Array) -> Array:
+    """Angle between board and image plane, degrees, of (..., 3, 3) rotations from board to camera."""
+    angles: Array = np.degrees(np.arccos(np.clip(np.abs(rotations[..., 2, 2]), 0, 1)))
+    return angles
+
+
+def folds_inside(camera: Camera, image_size: tuple[int, int]) -> bool:
+    """Whether the distortion model turns back on itself somewhere in the image."""
+    w, h = image_size
+    border = np.concatenate(
+        [
+            [[x, y] for x in np.linspace(0, w - 1, 17) for y in (0, h - 1)],
+            [[x, y] for x in (0, w - 1) for y in np.linspace(0, h - 1, 13)],
+        ]
+    )
+    return bool(np.isnan(camera.unproject(border, folded="nan")).any())
+
+
+def _doubts(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
+    if evidence.focal_std is None:
+        yield 'The method "zhang" has no error bars, so nothing says how well the camera is known; use "map".'
+    elif evidence.focal_std > thresholds.focal_std:
+        yield (
+            f"The focal length is known to {100 * evidence.focal_std:.2g} % only, "
+            f"{100 * thresholds.focal_std:.2g} % is asked; add a view with the board tilted by 30 to 60 deg "
+            "about another axis."
+        )
+    for name, residual in evidence.conflicts.items():
+        if residual > thresholds.conflict:
+            yield (
+                f"The {name} contradicts what is known of cameras by {residual:.1f} standard deviations; "
+                "check that board and square size are right and the image is neither cropped nor scaled, add "
+                "views, or state other priors."
+            )
+    if folds_inside(evidence.camera, evidence.image_size):
+        yield (
+            f"The distortion model folds over {evidence.camera.fold_radius_px:.0f} px from the principal "
+            "point, inside the image; add a view with the board near the corners of the image."
+        )
+    if not evidence.converged:
+        yield "The optimisation did not converge; add a view."
+
+
+def _parallel(rotations: Array, thresholds: Thresholds) -> Iterator[str]:
+    normals = rotations[:, :, 2]
+    angles = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1)))
+    if angles.max() >= thresholds.plane_angle_deg:
+        return
+    relative = np.swapaxes(rotations[:1], -1, -2) @ rotations
+    turns = np.degrees(np.arctan2(relative[:, 1, 0], relative[:, 0, 0]))
+    # Half a turn about the normal is the ambiguity of a symmetric board rather than a motion.
+    turned = np.abs((turns + 90) % 180 - 90).max() >= thresholds.plane_angle_deg
+    name = "Turn about the normal: the board was only turned in its own plane"
+    yield (
+        f"{name if turned else 'Parallel planes: the boards are parallel'} within {_up(angles.max())} deg, so "
+        f"the {len(rotations)} views count as one; tilt the board by 30 deg about another axis."
+    )
+
+
+def _up(angle: float) -> str:
+    """Round an angle up to whole degrees, at least 1."""
+    return str(max(1, int(np.ceil(angle))))

@@ -1,0 +1,1 @@
+"""Recordings, the command line and the node: everything between ROS and the library fewcal."""

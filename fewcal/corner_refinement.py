@@ -31,7 +31,7 @@ MAX_RADIUS_PX = 10
 """Largest half width: 20 px of each edge; more would cost time and see the edges bend by distortion."""
 MIN_RADIUS_PX = 2.0
 """Smallest half width: below it ten parameters have hardly more pixels than themselves."""
-FLOOR_PX = 0.01
+FLOOR_PX = 0.005
 """Least sd of a corner: print, paper and lens models are not better than this, however low the noise."""
 MIN_EXPLAINED = 0.6
 """Share of the window's variance that the model must explain: 0.95 and more at a clean corner."""
@@ -97,15 +97,18 @@ def _fit(image: Image, start: Array, axes: Array) -> tuple[Array, Array, Array, 
     p = _initial(start - origin, axes, x, values, weights)
     damping = np.full(len(p), 1e-3)
     cost, normal, gradient = _linearise(p, x, values, weights)
+    moving = np.arange(len(p))
     for _ in range(_ITERATIONS):
-        step = _solve(normal, gradient[..., None], damping)[..., 0]
-        trial = _bounded(p + step)
-        trial_cost, trial_normal, trial_gradient = _linearise(trial, x, values, weights)
-        better = trial_cost < cost
-        damping = np.where(better, damping / 10, damping * 10)
-        p[better], cost[better] = trial[better], trial_cost[better]
-        normal[better], gradient[better] = trial_normal[better], trial_gradient[better]
-        if np.abs(step[:, :2]).max() < _CONVERGED_PX:
+        step = _solve(normal[moving], gradient[moving, :, None], damping[moving])[..., 0]
+        trial = _bounded(p[moving] + step)
+        trial_cost, trial_normal, trial_gradient = _linearise(trial, x, values[moving], weights[moving])
+        better = trial_cost < cost[moving]
+        damping[moving] *= np.where(better, 0.1, 10.0)
+        done = moving[better]
+        p[done], cost[done] = trial[better], trial_cost[better]
+        normal[done], gradient[done] = trial_normal[better], trial_gradient[better]
+        moving = moving[np.abs(step[:, :2]).max(axis=1) > _CONVERGED_PX]
+        if len(moving) == 0:
             break
     pixels = np.maximum(weights.sum(axis=1), 1)
     mean = np.sum(weights * values, axis=1) / pixels
@@ -128,7 +131,7 @@ def _linearise(p: Array, x: Array, values: Array, weights: Array) -> tuple[Array
 
 
 def _windows(image: Image, origin: Array, axes: Array) -> tuple[Array, Array, Array]:
-    """Pixels around each corner: offsets (P, 2), grey levels (N, P) and weights (N, P), 0 outside."""
+    """Pixels around each corner: offsets (2, P), grey levels (N, P) and weights (N, P), 0 outside."""
     reach = WINDOW_SHARE * np.abs(axes).sum(axis=1).max()
     radius = int(np.clip(np.ceil(reach), MIN_RADIUS_PX, MAX_RADIUS_PX))
     dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1].reshape(2, -1)
@@ -137,13 +140,13 @@ def _windows(image: Image, origin: Array, axes: Array) -> tuple[Array, Array, Ar
     height, width = image.shape
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     values = image[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)].astype(np.float64)
-    x = np.stack([dx, dy], axis=1).astype(np.float64)
+    x = np.stack([dx, dy]).astype(np.float64)
     # In units of squares along the two axes of the grid; never narrower than the least radius.
     length = np.linalg.norm(axes, axis=2)
     reach = np.clip(WINDOW_SHARE * length, MIN_RADIUS_PX, MAX_RADIUS_PX)
     unit = axes / np.maximum(length, 1e-9)[..., None]
-    along = np.abs(x @ np.linalg.pinv(unit))
-    return x, values, (inside & (along <= reach[:, None]).all(axis=2)).astype(np.float64)
+    along = np.abs(np.swapaxes(np.linalg.pinv(unit), 1, 2) @ x)
+    return x, values, (inside & (along <= reach[..., None]).all(axis=1)).astype(np.float64)
 
 
 def _initial(offset: Array, axes: Array, x: Array, values: Array, weights: Array) -> Array:
@@ -165,7 +168,7 @@ def _initial(offset: Array, axes: Array, x: Array, values: Array, weights: Array
 def _model(p: Array, x: Array) -> tuple[Array, Array]:
     """Brightness (N, P) and its derivatives (N, 10, P) by the parameters."""
     c_x, c_y, angle, other_angle, blur, other_blur, a, b, g_x, g_y = p.T[..., None]
-    dx, dy = x[:, 0] - c_x, x[:, 1] - c_y
+    dx, dy = x[0] - c_x, x[1] - c_y
     E, by_E, along, t, cos, sin = _edge(dx, dy, angle, blur)
     F, by_F, other_along, other_t, other_cos, other_sin = _edge(dx, dy, other_angle, other_blur)
     checker = E * F
@@ -174,7 +177,7 @@ def _model(p: Array, x: Array) -> tuple[Array, Array]:
     contrast = b * light
     by_E *= contrast * F  # derivatives of the brightness by the distances from the two edges
     by_F *= contrast * E
-    J = np.empty((len(p), _PARAMETERS, len(x)))
+    J = np.empty((len(p), _PARAMETERS, x.shape[1]))
     J[:, 0] = by_E * sin + by_F * other_sin - reflectance * g_x
     J[:, 1] = -by_E * cos - by_F * other_cos - reflectance * g_y
     J[:, 2] = -by_E * along

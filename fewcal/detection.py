@@ -40,17 +40,21 @@ COARSEST_PX = 400
 SEARCHED_PX = 1000
 """Copies up to this size are always searched, larger ones only when there is evidence of a board; on a
 1920x1080 image that is every copy but the full one."""
-MIN_EVIDENCE = 6
-"""Corners in a grid that make it worth while to look at a finer copy."""
+SMALL_SQUARE_PX = 8.0
+"""Squares smaller than this in one copy are shown better by the next; larger ones gain nothing."""
 EDGE_WIDTH_PER_BLUR = 2.563
 """Width of an edge between 10 % and 90 % of its step, in Gaussian standard deviations."""
 MAX_EDGE_SHARE = 0.5
 """Widest edge, as a share of the square: beyond it the edges of one square run into each other."""
-BORDER_SHARE = 1.0
-"""A missing row that would lie this close to the border of the image, in squares, is cut off by it: the
-outer squares must be seen too."""
-MAX_BAD_SHARE = 0.1
-"""Share of the corners that may be found again from their neighbours after a first failure."""
+MIN_GOOD_SHARE = 0.75
+"""Share of the corners that must be corners before a grid of another size is called a board."""
+MIN_CLAIMED = 12
+"""Corners that a grid of another size must have before it is called a board: code and texture often line up
+three by three."""
+MIN_BORDER_PX = 2.0
+"""A corner closer to the border of the image does not show its four squares."""
+_ATTEMPTS = 3
+"""Rounds of looking again for corners that were wrong; glare often moves one by a part of a square."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +118,7 @@ def detect_board(
     grey = as_grey(image)
     grid = _find_grid(grey, board)
     corners = _locate(grey, grid)
-    square = float(np.median(np.minimum(*(np.linalg.norm(a, axis=2) for a in local_axes(corners.points)))))
+    square = _square_size(corners.points)
     edge_width = EDGE_WIDTH_PER_BLUR * float(np.median(corners.blur, axis=(0, 1)).max())
     if edge_width > MAX_EDGE_SHARE * square:
         raise BoardNotFound(
@@ -131,7 +135,7 @@ def _find_grid(grey: GreyImage, board: Chessboard) -> Array:
     """Grid of the board's size, (R, C, 2) pixels of the full image, approximate, gaps as NaN."""
     best = np.empty((0, 0, 2))
     for factor in _reductions(grey):
-        if max(grey.shape) / factor > SEARCHED_PX and best.shape[0] * best.shape[1] < MIN_EVIDENCE:
+        if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(best / factor):
             break
         reduced = _reduce(grey, factor)
         for grid in find_grids(reduced, find_saddle_points(reduced)):
@@ -141,6 +145,17 @@ def _find_grid(grey: GreyImage, board: Chessboard) -> Array:
             if grid.shape[0] * grid.shape[1] > best.shape[0] * best.shape[1]:
                 best = full
     raise _not_found(grey, best, board)
+
+
+def _shows_small_squares(grid: Array) -> bool:
+    """Whether a grid was found whose squares are so small that a finer copy may show more of it."""
+    return min(grid.shape[:2]) >= 3 and _square_size(grid) < SMALL_SQUARE_PX
+
+
+def _square_size(grid: Array) -> float:
+    """Median length, pixels, of the shorter side of the squares of a grid."""
+    across, down = (np.linalg.norm(axes, axis=2) for axes in local_axes(grid))
+    return float(np.nanmedian(np.fmin(across, down)))
 
 
 def _reductions(grey: GreyImage) -> list[int]:
@@ -164,7 +179,7 @@ def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound
     """Say why the largest grid of the image is not the board."""
     rows, columns = sorted(grid.shape[:2])
     asked_rows, asked_columns = sorted((board.rows, board.columns))
-    if rows < 3:
+    if rows < 3 or not _is_board(grey, grid):
         return BoardNotFound(
             "no board", "No chessboard is to be seen; show it whole, well lit, with a white margin."
         )
@@ -184,40 +199,60 @@ def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound
     )
 
 
+def _is_board(grey: GreyImage, grid: Array) -> bool:
+    """Whether most corners of a grid stand the tests that a board must stand, unlike texture or code."""
+    prediction, _ = predict(grid)
+    filled = np.where(np.isfinite(grid), grid, prediction)
+    if filled.shape[0] * filled.shape[1] < MIN_CLAIMED or not np.isfinite(filled).all():
+        return False
+    corners = refine_corners(grey, filled)
+    residuals, allowed = planar_residuals(corners)
+    return bool(np.mean(corners.good & (np.linalg.norm(residuals, axis=2) < allowed)) > MIN_GOOD_SHARE)
+
+
 def _at_border(grey: GreyImage, grid: Array) -> bool:
     """Whether the next row or column beyond a grid would touch the border of the image."""
     wide = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     beyond, _ = predict(wide)
-    size = np.array(grey.shape[::-1])
-    with np.errstate(invalid="ignore"):
-        outside = ((beyond < 0) | (beyond > size - 1)).any(axis=2)
-    return bool(outside.any())
+    return _outside(grey, beyond, 0)
 
 
 def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
     """Corners at full resolution; those that fail are looked for again where the others put them."""
     prediction, _ = predict(grid)
     grid = np.where(np.isfinite(grid), grid, prediction)
-    corners = refine_corners(grey, grid)
-    for _ in range(2):
+    for _ in range(_ATTEMPTS):
+        corners = refine_corners(grey, grid)
         residuals, allowed = planar_residuals(corners)
-        bad = ~corners.good | (np.linalg.norm(residuals, axis=2) > allowed)
+        misplaced = np.linalg.norm(residuals, axis=2) > allowed
+        bad = misplaced | ~corners.good
         if not bad.any():
-            return corners
-        if bad.mean() > MAX_BAD_SHARE:
             break
-        corners = refine_corners(grey, np.where(bad[..., None], corners.points - residuals, corners.points))
-    if corners.good.all():
+        grid = np.where(bad[..., None], corners.points - residuals, corners.points)
+    if _outside(grey, corners.points, MIN_BORDER_PX):
+        raise BoardNotFound(
+            "cut off", "Part of the board is beyond the border of the image; bring the whole board into it."
+        )
+    if not corners.good.all():
+        raise BoardNotFound(
+            "cut off",
+            f"{int((~corners.good).sum())} of the {bad.size} corners cannot be seen; uncover the whole board "
+            "and keep reflections off it.",
+        )
+    if misplaced.any():
         raise BoardNotFound(
             "not planar",
-            f"{int(bad.sum())} of the {bad.size} corners do not lie where a flat board would show them; "
-            "hold the board flat and free of reflections, and look again.",
+            f"{int(misplaced.sum())} of the {bad.size} corners do not lie where a flat board would show them; "
+            "hold the board flat and free of reflections.",
         )
-    raise BoardNotFound(
-        "cut off",
-        f"{int((~corners.good).sum())} of the {bad.size} corners cannot be seen; uncover the whole board and "
-        "keep reflections off it.",
-    )
+    return corners
+
+
+def _outside(grey: GreyImage, points: Array, margin: float) -> bool:
+    """Whether any point lies beyond the border of the image or closer to it than a margin, pixels."""
+    size = np.array(grey.shape[::-1])
+    with np.errstate(invalid="ignore"):
+        return bool(((points < margin) | (points > size - 1 - margin)).any())
 
 
 def _in_order(grey: GreyImage, corners: RefinedCorners, board: Chessboard) -> tuple[Array, Array]:
@@ -226,11 +261,8 @@ def _in_order(grey: GreyImage, corners: RefinedCorners, board: Chessboard) -> tu
     across, down = (np.mean(a, axis=(0, 1)) for a in local_axes(corners.points))
     if across[0] * down[1] - across[1] * down[0] < 0:
         grid = grid[:, ::-1]
-    turns = [
-        turn
-        for turn in (np.rot90(grid, k) for k in range(4))
-        if turn.shape[:2] == (board.rows, board.columns)
-    ]
+    size = (board.rows, board.columns)
+    turns = [turn for turn in (np.rot90(grid, k) for k in range(4)) if turn.shape[:2] == size]
     black = [_first_is_black(grey, turn[..., :2]) for turn in turns]
     first = min(range(len(turns)), key=lambda k: (not black[k], turns[k][0, 0, :2].sum()))
     ordered = np.ascontiguousarray(turns[first]).reshape(-1, 3)

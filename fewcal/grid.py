@@ -20,7 +20,7 @@ from .saddle_points import Image, SaddlePoints, sample
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-NEAREST = 16
+NEAREST = 14
 """Corners looked at around each one: its 8 on the board, and as many of clutter between them."""
 EDGE_TOLERANCE_RAD = 0.35
 """How far a neighbour may lie off the direction of an edge: 20 deg, for a short and distorted edge."""
@@ -30,12 +30,14 @@ EDGE_SIDE = 0.25
 """How far to either side of an edge the step is measured, as a share of its length."""
 EDGE_CONTRAST = 0.3
 """Step across an edge between two corners, as a share of the stronger corner's contrast."""
-MIN_CORNERS = 6
-"""Fewest corners that are worth growing: two squares side by side."""
+MIN_CORNERS = 8
+"""Fewest linked corners that are worth growing: the smallest board, 3x3, less one."""
 QUADRANT_SHARE = 0.25
 """Where the four squares about a corner are looked at: half way to their centres."""
 MIN_RIM_SHARE = 0.6
 """Share of the corners of an outer row at which four squares must meet; a row of three may not lose two."""
+MIN_SQUARES = 3
+"""Fewest closed squares among them: of the four of a 3x3 board a missing corner leaves three."""
 MAX_GRIDS = 3
 """Chains of corners that are grown, largest first."""
 SNAP_SHARE = 0.3
@@ -73,11 +75,19 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
     for component in chosen[sizes[chosen] >= MIN_CORNERS]:
         own = label[start] == component
         grid, swapped = _coordinates(saddles, start[own], end[own], along_first[own])
+        if _closed_squares(grid) < MIN_SQUARES:
+            continue
         grid = _grow(grid, swapped, saddles, tree)
         points = _trim(image, np.where((grid >= 0)[..., None], saddles.points[grid], np.nan))
         if min(points.shape[:2]) > 1:
             grids.append(points)
     return sorted(grids, key=_area, reverse=True)
+
+
+def _closed_squares(grid: Indices) -> int:
+    """Squares of a grid of which all four corners are known; texture gives chains but hardly any squares."""
+    known = grid >= 0
+    return int((known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]).sum())
 
 
 def _area(grid: Array) -> float:
@@ -100,17 +110,21 @@ def _links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArr
     start = np.repeat(np.arange(len(points)), near - 1)
     end = np.asarray(neighbours[:, 1:], dtype=np.intp).ravel()
     step = points[end] - points[start]
-    angle = np.arctan2(step[:, 1], step[:, 0])
+    # Sine of the angle between the step and each edge, from the cross product, against the tolerance.
+    normals = np.stack([-np.sin(edges), np.cos(edges)], axis=-1)
     sector = _turn(edges[:, 1] - edges[:, 0])
-    tolerance = np.minimum(EDGE_TOLERANCE_RAD, SECTOR_SHARE * np.minimum(sector[start], sector[end]))
-    first = (_turn(angle - edges[start, 0]) < tolerance) & (_turn(angle - edges[end, 1]) < tolerance)
-    second = (_turn(angle - edges[start, 1]) < tolerance) & (_turn(angle - edges[end, 0]) < tolerance)
-    kept = np.flatnonzero(first | second)
+    tolerance = np.sin(np.minimum(EDGE_TOLERANCE_RAD, SECTOR_SHARE * sector))
+    length = np.hypot(step[:, 0], step[:, 1])
+    on_start = np.abs(np.einsum("pi,pei->pe", step, normals[start])) < (tolerance[start] * length)[:, None]
+    on_end = np.abs(np.einsum("pi,pei->pe", step, normals[end])) < (tolerance[end] * length)[:, None]
+    first = on_start[:, 0] & on_end[:, 1]
+    kept = np.flatnonzero(first | (on_start[:, 1] & on_end[:, 0]))
     kept = kept[_is_edge(image, saddles, start[kept], end[kept], first[kept])]
-    start, end, first, step, angle = start[kept], end[kept], first[kept], step[kept], angle[kept]
-    forward = np.cos(angle - np.where(first, edges[start, 0], edges[start, 1])) > 0
+    start, end, first, step, length = start[kept], end[kept], first[kept], step[kept], length[kept]
+    angle = np.where(first, edges[start, 0], edges[start, 1])
+    forward = step[:, 0] * np.cos(angle) + step[:, 1] * np.sin(angle) > 0
     slot = 4 * start + 2 * first + forward
-    order = np.lexsort([np.hypot(step[:, 0], step[:, 1]), slot])
+    order = np.lexsort([length, slot])
     _, nearest = np.unique(slot[order], return_index=True)
     kept = order[nearest]
     start, end, first = start[kept], end[kept], first[kept]
@@ -304,8 +318,8 @@ def _crop(grid: Indices, swapped: bool) -> tuple[Indices, bool]:
 def _trim(image: Image, grid: Array) -> Array:
     """Drop rim rows and columns where no squares meet.
 
-    Beyond the board a narrow margin with something dark behind it shows a saddle at the end of every edge, but
-    on the far side of such a row dark and bright do not alternate.
+    Beyond the board a narrow margin with something dark behind it shows a saddle at the end of every edge,
+    but on the far side of such a row dark and bright do not alternate.
     """
     meet = _squares_meet(image, grid)
     while min(meet.shape) > 1:

@@ -1,4 +1,4 @@
-"""Do these corners lie on a plane, as some lens shows it?
+"""Whether corners lie on a plane, as some lens shows it.
 
 A plane through a lens is a homography followed by a smooth bend. The bend is fitted as a polynomial in the
 coordinates that the homography predicts, robustly, so that a wrong corner does not bend it; what remains is
@@ -55,7 +55,7 @@ def planar_residuals(corners: RefinedCorners) -> tuple[Array, Array]:
 
 
 def _residuals(board: Array, found: Array, square: Array) -> Array:
-    H, _ = cv2.findHomography(board, found, cv2.LMEDS)
+    H, _ = cv2.findHomography(board, found, 0)
     if H is None:
         return np.full_like(found, np.inf)
     flat = cv2.perspectiveTransform(board[None], H)[0]

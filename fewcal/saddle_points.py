@@ -5,9 +5,9 @@ the determinant of its Hessian is strongly negative there, and near zero along s
 
     S = Ixy^2 - Ixx Iyy > 0
 
-For a step of height A (grey levels) blurred by sigma, S^(1/2) = A / (pi sigma^2) at a square corner. A peak of
-S counts as a corner when the brightness on a small circle about it changes sign exactly four times and is the
-same at opposite points: that tells a corner from an edge, a blob and the end of a line.
+For a step of height A (grey levels) blurred by sigma, S^(1/2) = A / (pi sigma^2) at a square corner. A peak
+of S counts as a corner when the brightness on a small circle about it changes sign exactly four times and is
+the same at opposite points: that tells a corner from an edge, a blob and the end of a line.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MIN_CONTRAST = 0.03
 """Faintest step between black and white, as a share of the image's own range: 8 of 255 grey levels."""
 MAX_ASYMMETRY = 0.35
 """Odd share of the energy on the circle: 0 at an ideal corner, 1 on an edge, about 0.5 at a T junction."""
-MAX_PEAKS = 3000
+MAX_PEAKS = 2000
 """Peaks looked at, strongest first: bounds the time on gravel and foliage; a board has a few hundred."""
 
 
@@ -67,7 +67,7 @@ def find_saddle_points(image: Image) -> SaddlePoints:
     """
     if min(image.shape) < 4 * RING_RADIUS_PX:
         return SaddlePoints(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR_PX)
+    smooth = np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR_PX), dtype=np.float32)
     low, high, _, _ = cv2.minMaxLoc(smooth)
     min_contrast = MIN_CONTRAST * (high - low)
     return _with_four_sectors(smooth, _peaks(smooth, min_contrast), min_contrast)

@@ -29,6 +29,10 @@ _FLAGS = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTAT
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
+_TIFF_VALUE_BYTES = {3: 2, 4: 4, 5: 8, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}
+"""Size of a value by its type, TIFF 6.0 section 2; all other types take one byte."""
+
+
 def _jpeg_is_whole(data: bytes) -> bool:
     # A scan holds no bare marker, so an end marker behind the last start of a scan is the image's own
     # end; one before it belongs to a thumbnail.
@@ -55,8 +59,20 @@ def _bmp_is_whole(data: bytes) -> bool:
 
 
 def _tiff_is_whole(data: bytes) -> bool:
+    """Whether the first directory and the values it points at are there; it often comes last in the file."""
     order = "<" if data.startswith(b"II") else ">"
-    return len(data) >= 8 and struct.unpack_from(order + "I", data, 4)[0] + 2 <= len(data)
+    try:
+        (start,) = struct.unpack_from(order + "I", data, 4)
+        (count,) = struct.unpack_from(order + "H", data, start)
+        entries = struct.iter_unpack(order + "HHII", data[start + 2 : start + 2 + 12 * count])
+        ends = [
+            offset + number * _TIFF_VALUE_BYTES.get(kind, 1)
+            for _, kind, number, offset in entries
+            if number * _TIFF_VALUE_BYTES.get(kind, 1) > 4  # smaller ones stand in place of the offset
+        ]
+    except struct.error:
+        return False
+    return max([start + 2 + 12 * count, *ends]) <= len(data)
 
 
 def _webp_is_whole(data: bytes) -> bool:

@@ -213,6 +213,9 @@ def _choose_topic(topics: Sequence[Topic], wanted: str | None) -> str:
 
 
 def _listing(topics: Sequence[Topic]) -> str:
-    entries = [f"{topic.name} ({topic.type}, {topic.count})" for topic in topics[:_LISTED_TOPICS]]
+    entries = [
+        f"{topic.name} ({topic.type}, {topic.count} message{'s' * (topic.count != 1)})"
+        for topic in topics[:_LISTED_TOPICS]
+    ]
     more = len(topics) - len(entries)
     return ", ".join(entries) + (f" and {more} more" if more else "")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import bz2
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
 
@@ -78,13 +78,13 @@ class Storage(Protocol):
         """All messages of a topic, one after the other."""
 
 
+@dataclass
 class Tally:
-    """Counts messages by channel while a recording without an index is read through."""
+    """Messages by channel, and the first and last of their times; counted, or taken from an index."""
 
-    def __init__(self) -> None:
-        self.counts: dict[int, int] = {}
-        self.start_ns: int | None = None
-        self.end_ns: int | None = None
+    counts: dict[int, int] = field(default_factory=dict)
+    start_ns: int | None = None
+    end_ns: int | None = None
 
     def add(self, channel: int, time_ns: int) -> None:
         """Count one message."""
@@ -93,17 +93,16 @@ class Tally:
         self.end_ns = time_ns if self.end_ns is None else max(self.end_ns, time_ns)
 
 
-def summarise(
-    channels: dict[int, tuple[str, str]], counts: dict[int, int], start_ns: int | None, end_ns: int | None
-) -> Contents:
-    """Contents from (topic, type) and message count by channel; several channels can share a topic."""
+def summarise(channels: dict[int, tuple[str, str]], tally: Tally) -> Contents:
+    """Contents from the (topic, type) of each channel and the tally; several channels can share a topic."""
     totals: dict[tuple[str, str], int] = {}
     for channel, (topic, msgtype) in channels.items():
         key = topic, full_type(msgtype)
-        totals[key] = totals.get(key, 0) + counts.get(channel, 0)
+        totals[key] = totals.get(key, 0) + tally.counts.get(channel, 0)
     topics = tuple(Topic(*key, count) for key, count in sorted(totals.items()))
-    empty = not any(counts.values())
-    return Contents(topics, None if empty else start_ns, None if empty else end_ns)
+    if not any(tally.counts.values()):
+        return Contents(topics, None, None)
+    return Contents(topics, tally.start_ns, tally.end_ns)
 
 
 def full_type(name: str) -> str:

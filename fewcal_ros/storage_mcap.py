@@ -50,20 +50,14 @@ class McapStorage:
 
     def contents(self) -> Contents:
         """Topics and times, from the statistics record or by reading through the file."""
+        tally = Tally()
         if self._index is not None:
             stats = self._index.statistics
-            counts, start, end = (
-                stats.channel_message_counts,
-                stats.message_start_time,
-                stats.message_end_time,
-            )
+            tally = Tally(stats.channel_message_counts, stats.message_start_time, stats.message_end_time)
         else:
-            tally = Tally()
             for message in self._walk_file():
                 tally.add(message.channel, message.log_time_ns)
-            counts, start, end = tally.counts, tally.start_ns, tally.end_ns
-        channels = {key: (value.topic, self._type(value)) for key, value in self._channels.items()}
-        return summarise(channels, dict(counts), start, end)
+        return summarise({key: (c.topic, self._type(c)) for key, c in self._channels.items()}, tally)
 
     def messages(self, topic: str) -> Iterator[RawMessage]:
         """Messages in the order of the file, chunks without the topic left out where the index tells."""

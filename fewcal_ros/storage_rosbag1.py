@@ -56,11 +56,11 @@ class Rosbag1Storage:
             for chunk in self._index.chunks.values():
                 for connection, count in chunk.items():
                     counts[connection] = counts.get(connection, 0) + count
-            return summarise(self._connections, counts, self._index.start_ns, self._index.end_ns)
+            return summarise(self._connections, Tally(counts, self._index.start_ns, self._index.end_ns))
         tally = Tally()
         for message in self._walk_file():
             tally.add(message.connection, message.time_ns)
-        return summarise(self._connections, tally.counts, tally.start_ns, tally.end_ns)
+        return summarise(self._connections, tally)
 
     def messages(self, topic: str) -> Iterator[RawMessage]:
         """Messages in the order of the file, chunks without the topic left out where the index tells."""

@@ -37,7 +37,7 @@ class SqliteStorage:
         with closing(self._connect()) as database:
             for _, topic, time_ns in until_damage(_rows(database), self.damage):
                 tally.add(topic, time_ns)
-        return summarise(self._topics, tally.counts, tally.start_ns, tally.end_ns)
+        return summarise(self._topics, tally)
 
     def messages(self, topic: str) -> Iterator[RawMessage]:
         """Messages in order of time, each fetched on its own so that a damaged one costs no other."""

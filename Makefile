@@ -1,0 +1,59 @@
+# Every target sets up all it needs in .venv; nothing else on the machine is touched. `make help` lists them.
+
+PYTHON ?= python3
+VENV := .venv
+OLDEST := .venv-oldest
+DESCRIPTION := setup.py setup.cfg pyproject.toml
+
+# A folder that `python -m venv` or pip left half done has no stamp, and is made anew.
+MADE = $(@D)/.made
+define make_venv
+@test -f $(MADE) && $(@D)/bin/python -c '' 2>/dev/null || { \
+  echo "Making $(@D) with $$($(PYTHON) --version)" && rm -rf $(@D) && $(PYTHON) -m venv $(@D) && touch $(MADE); } || { \
+  echo "$(PYTHON) cannot make a virtual environment; on Ubuntu: sudo apt install python3-venv"; exit 1; }
+endef
+PIP = $(@D)/bin/python -m pip install --quiet --disable-pip-version-check
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test test-oldest check clean
+
+help: ## list these targets
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
+
+demo: $(VENV)/.installed ## calibrate a bundled recording and print the result beside the known truth
+	@$(VENV)/bin/python experiments/demo.py
+
+test: check ## static checks and the whole suite
+	@$(VENV)/bin/python -m pytest
+
+check: $(VENV)/.installed-test ## ruff and mypy --strict
+	@$(VENV)/bin/python -m ruff check .
+	@$(VENV)/bin/python -m ruff format --check .
+	@$(VENV)/bin/python -m mypy
+
+test-oldest: $(OLDEST)/.installed-test ## the suite on the oldest versions of numpy, scipy, OpenCV ... that setup.py admits
+	@$(OLDEST)/bin/python -m pytest
+
+clean: ## remove what these targets and colcon made
+	rm -rf $(VENV) $(OLDEST) build install log demo_output *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+
+$(VENV)/.installed: $(DESCRIPTION)
+	$(make_venv)
+	@echo "Installing fewcal into $(@D)"
+	@$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.installed-test: $(DESCRIPTION)
+	$(make_venv)
+	@echo "Installing fewcal and what its tests need into $(@D)"
+	@$(PIP) --editable '.[test]'
+	@touch $@ $(@D)/.installed
+
+$(OLDEST)/.installed-test: $(DESCRIPTION) constraints-oldest.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 13))' || { \
+	  echo "numpy 1.26 needs Python 3.10 to 3.12: make test-oldest PYTHON=python3.12"; exit 1; }
+	$(make_venv)
+	@echo "Installing fewcal on its oldest dependencies into $(@D)"
+	@$(PIP) --constraint constraints-oldest.txt --editable '.[test]'
+	@touch $@

@@ -1,0 +1,245 @@
+"""The command `fewcal`: calibrate a camera from a recording or images, and look into recordings."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from fewcal.boards import parse_board
+from fewcal.calibration import METHODS
+from fewcal.camera_info import write_camera_info
+from fewcal.constraints import Priors
+from fewcal.errors import DegenerateViews, FewcalError, InvalidInput
+from fewcal.files import write_atomically
+from fewcal.verdict import Thresholds
+
+from .frames import FrameReader, open_frames
+from .messages import Frame
+from .offline import Outcome, Settings, calibrate_frames
+from .recordings import RecordingInfo, recording_info
+from .report import as_json, as_text
+
+USABLE, NOT_USABLE, BAD_INPUT, NO_CALIBRATION = 0, 1, 2, 3
+
+_EXIT_CODES = """
+exit codes:
+  0  calibrated and usable
+  1  calibrated but not usable: everything is written, the verdict says why
+  2  bad usage or input
+  3  no calibration possible
+"""
+
+_CALIBRATE = """
+Calibrate a camera from a recording, images, or a folder of images that show a chessboard.
+
+One view of a board tilted by 30 to 60 degrees is enough for a first answer, two tilted about different axes
+for a good one. The answer comes with error bars; when the views do not determine the camera, it says so.
+
+examples:
+  fewcal calibrate arm.mcap --board chessboard:9x6:0.025
+  fewcal calibrate rosbag2_folder --topic /camera/image_raw --board chessboard:9x6:0.025 --out result
+  fewcal calibrate photo1.jpg photo2.jpg --board chessboard:9x6:0.025 --json
+
+The size of a board counts interior corners, where four squares meet: a board of 10x7 squares is 9x6.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the name of the program; those of the process when left out.
+
+    Returns
+    -------
+    int
+        The exit code, see ``fewcal calibrate --help``.
+    """
+    parser = _parser()
+    try:
+        options = parser.parse_args(arguments)
+    except SystemExit as stop:  # argparse has printed its help or its complaint
+        return stop.code if isinstance(stop.code, int) else BAD_INPUT
+    try:
+        return int(options.run(options))
+    except DegenerateViews as error:
+        return _complain(error, NO_CALIBRATION)
+    except FewcalError as error:
+        return _complain(error, BAD_INPUT)
+    except BrokenPipeError:  # the reader of our output has closed it; nothing is left to say
+        sys.stderr.close()
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        return _complain("Interrupted; nothing was written.", BAD_INPUT)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="fewcal",
+        description="Camera calibration from one or two views of a board, with honest error bars.",
+    )
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    command = commands.add_parser(
+        "calibrate",
+        help="calibrate a camera from a recording or images",
+        description=_CALIBRATE,
+        epilog=_EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    command.set_defaults(run=_calibrate)
+    command.add_argument(
+        "sources",
+        nargs="+",
+        metavar="SOURCE",
+        help="a .mcap, .db3 or .bag file, a rosbag2 folder, images, or a folder of images",
+    )
+    command.add_argument(
+        "--board", required=True, help="what the views show, such as chessboard:9x6:0.025 (sizes in metres)"
+    )
+    command.add_argument("--topic", help="image topic, when the recording has several")
+    command.add_argument(
+        "--views",
+        type=_view_count,
+        default=2,
+        metavar="N",
+        help='views to calibrate from, 1, 2, ... or "all" (default 2); with fewer good ones it takes those',
+    )
+    command.add_argument(
+        "--select",
+        choices=("best", "first"),
+        default="best",
+        help="best: look at the whole recording and take the views that leave the smallest error bars "
+        "(default); first: take views as the live node does, and stop when they are enough",
+    )
+    command.add_argument(
+        "--method",
+        choices=METHODS,
+        default="map",
+        help="map: the default estimator; zhu2020: the paper's; zhang: for comparison",
+    )
+    command.add_argument(
+        "--focal-px",
+        nargs=2,
+        type=float,
+        metavar=("F", "SD"),
+        help="the focal length, when the lens is known: mean and standard deviation in pixels",
+    )
+    command.add_argument(
+        "--max-focal-std",
+        type=float,
+        default=Thresholds().focal_std,
+        metavar="SHARE",
+        help="relative error of the focal length up to which a camera is usable (default %(default)s)",
+    )
+    command.add_argument("--camera-name", default="camera", metavar="NAME", help="name in camera.yaml")
+    command.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder that receives camera.yaml and calibration.json"
+    )
+    command.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else")
+    info = commands.add_parser(
+        "info", help="list the topics of a recording", description="List what a recording holds."
+    )
+    info.set_defaults(run=_info)
+    info.add_argument("recording", metavar="BAG", help="a .mcap, .db3 or .bag file, or a rosbag2 folder")
+    return parser
+
+
+def _view_count(text: str) -> int | None:
+    if text == "all":
+        return None
+    try:
+        count = int(text)
+    except ValueError:
+        count = 0
+    if count < 1:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a number of views; give 1, 2, ... or "all"')
+    return count
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    if not options.max_focal_std > 0:
+        raise InvalidInput("--max-focal-std must be above zero, for example 0.02 for 2 %.")
+    settings = Settings(
+        board=parse_board(options.board),
+        views=options.views,
+        select=options.select,
+        method=options.method,
+        priors=Priors(focal_px=tuple(options.focal_px) if options.focal_px else None),
+        thresholds=Thresholds(focal_std=options.max_focal_std),
+    )
+    if options.out is not None:
+        _make_folder(options.out)
+    with open_frames(options.sources, options.topic) as reader:
+        try:
+            outcome = calibrate_frames(_with_progress(reader), settings)
+        finally:
+            for warning in reader.warnings:
+                print(f"fewcal: {warning}", file=sys.stderr)
+        outcome = _count_unreadable(outcome, reader)
+    report = as_json(outcome)
+    if options.out is not None:
+        write_camera_info(options.out / "camera.yaml", outcome.calibration, camera_name=options.camera_name)
+        write_atomically(options.out / "calibration.json", report)
+    if options.json:
+        print(report, end="")
+    else:
+        print(as_text(outcome), end="")
+        if options.out is not None:
+            print(f"Written: {options.out / 'camera.yaml'}, {options.out / 'calibration.json'}")
+    return USABLE if outcome.calibration.verdict.usable else NOT_USABLE
+
+
+def _count_unreadable(outcome: Outcome, reader: FrameReader) -> Outcome:
+    """Count the frames that could not be decoded among those read."""
+    outcome.rejected["unreadable"] += reader.skipped
+    return Outcome(outcome.calibration, outcome.read + reader.skipped, outcome.with_board, +outcome.rejected)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInput(f"The folder {folder} cannot be made: {error.strerror}.") from error
+
+
+def _with_progress(reader: FrameReader) -> Iterator[Frame]:
+    """Show progress on a terminal; elsewhere nothing."""
+    frames: Iterable[Frame] = reader
+    if sys.stderr.isatty():
+        from rich.console import Console  # only a terminal needs it, and it takes its time to import
+        from rich.progress import track
+
+        frames = track(
+            reader, "Looking for the board", total=reader.total, console=Console(stderr=True), transient=True
+        )
+    yield from frames
+
+
+def _info(options: argparse.Namespace) -> int:
+    info = recording_info(options.recording)
+    print(_info_text(info), end="")
+    for warning in info.warnings:
+        print(f"fewcal: {warning}", file=sys.stderr)
+    return USABLE
+
+
+def _info_text(info: RecordingInfo) -> str:
+    duration = "no messages" if info.duration_ns is None else f"{info.duration_ns / 1e9:.3f} s"
+    lines = [f"{info.path}: {info.format}, {duration}, {sum(topic.count for topic in info.topics)} messages"]
+    wide = max((len(topic.name) for topic in info.topics), default=0)
+    type_wide = max((len(topic.type) for topic in info.topics), default=0)
+    lines += [f"  {topic.name:{wide}}  {topic.type:{type_wide}}  {topic.count:8d}" for topic in info.topics]
+    return "\n".join(lines) + "\n"
+
+
+def _complain(error: Exception | str, code: int) -> int:
+    print(f"fewcal: {error}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

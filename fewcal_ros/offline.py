@@ -1,0 +1,162 @@
+"""The offline road: frames in, the views worth having out, a calibration at the end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from fewcal.boards import Chessboard
+from fewcal.calibration import Calibration, calibrate
+from fewcal.constraints import Priors
+from fewcal.errors import DegenerateViews
+from fewcal.selection import best_subset, information, thin
+from fewcal.session import FrameFilter, Session
+from fewcal.verdict import Thresholds, Verdict
+from fewcal.views import View
+
+from .messages import Frame
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the user asks for.
+
+    Parameters
+    ----------
+    board : Chessboard
+    views : int or None
+        Views to calibrate from; None takes every good one.
+    select : {"best", "first"}
+        Look at the whole recording and take the views that the posterior likes best, or behave as the live
+        node does and stop when there is enough.
+    method : {"map", "zhu2020", "zhang"}
+    priors : Priors
+    thresholds : Thresholds
+    """
+
+    board: Chessboard
+    views: int | None = 2
+    select: str = "best"
+    method: str = "map"
+    priors: Priors = Priors()
+    thresholds: Thresholds = Thresholds()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A calibration, and what became of the frames.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    read, with_board : int
+        Frames looked at, and those of them that showed the board.
+    rejected : Counter
+        The frames that are not among the views, by reason.
+    """
+
+    calibration: Calibration
+    read: int
+    with_board: int
+    rejected: Counter[str]
+
+
+def calibrate_frames(frames: Iterable[Frame], settings: Settings) -> Outcome:
+    """Calibrate from the frames of a recording.
+
+    Raises
+    ------
+    DegenerateViews
+        When no frame shows the board well enough, or the views determine no camera.
+    InvalidInput
+        When the image size changes within the frames.
+    """
+    if settings.select == "first" and settings.views is not None:
+        outcome = _first(frames, settings, settings.views)
+    else:
+        outcome = _best(frames, settings)
+    used, asked = len(outcome.calibration.views), settings.views
+    if asked is None or used >= asked:
+        return outcome
+    verdict = outcome.calibration.verdict
+    reason = f"Only {used} good view{'s were' if used > 1 else ' was'} found, {asked} were asked for."
+    verdict = Verdict(verdict.usable, (*verdict.reasons, reason))
+    return replace(outcome, calibration=replace(outcome.calibration, verdict=verdict))
+
+
+def _first(frames: Iterable[Frame], settings: Settings, count: int) -> Outcome:
+    """Feed a session, as the live node does, until it has what it needs."""
+    session = Session(
+        settings.board,
+        count,
+        method=settings.method,
+        priors=settings.priors,
+        thresholds=settings.thresholds,
+    )
+    fates = _Fates()
+    for frame in frames:
+        decision = session.add(frame.image, frame.stamp_ns, frame.source)
+        fates.note(decision.reason, decision.message)
+        if session.complete:
+            break
+    if not session.views:
+        raise fates.no_view(settings.board)
+    rejected = session.frames.rejected.copy()
+    rejected["replaced"] = session.frames.read - rejected.total() - len(session.views)
+    return Outcome(session.calibrate(), session.frames.read, session.frames.with_board, +rejected)
+
+
+def _best(frames: Iterable[Frame], settings: Settings) -> Outcome:
+    """Find every good view, then keep the subset that leaves the least uncertainty."""
+    look = FrameFilter(settings.board)
+    fates = _Fates()
+    good: list[View] = []
+    moving: list[View] = []
+    for frame in frames:
+        decision = look.look(frame.image, frame.stamp_ns, frame.source)
+        fates.note(decision.reason, decision.message)
+        if decision.kept and decision.detection is not None:
+            good.append(decision.detection.view)
+        elif decision.reason == "moving" and decision.detection is not None:
+            moving.append(decision.detection.view)
+    rejected = look.rejected.copy()
+    if len(good) < (settings.views or 1) and moving:
+        # A board that is never held still, but sharp all the same, is better than no answer.
+        good, rejected["moving"] = [*good, *moving], 0
+    if not good:
+        raise fates.no_view(settings.board)
+    assert look.image_size is not None
+    chosen = good if settings.views is None else _choose(good, look.image_size, settings, settings.views)
+    rejected["not selected"] = len(good) - len(chosen)
+    calibration = calibrate(chosen, look.image_size, settings.method, settings.priors, settings.thresholds)
+    return Outcome(calibration, look.read, look.with_board, +rejected)
+
+
+def _choose(views: list[View], size: tuple[int, int], settings: Settings, count: int) -> list[View]:
+    if len(views) <= count:
+        return views
+    candidates = [views[i] for i in thin(views)]
+    together = calibrate(candidates, size, "map", settings.priors, settings.thresholds)
+    return [candidates[i] for i in best_subset(information(together, settings.priors), count)]
+
+
+class _Fates:
+    """Remembers one sentence for each reason, to answer with when there is no view at all."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+        self._sentences: dict[str, str] = {}
+
+    def note(self, reason: str, message: str) -> None:
+        self._counts[reason] += 1
+        self._sentences.setdefault(reason, message)
+
+    def no_view(self, board: Chessboard) -> DegenerateViews:
+        """Say why no frame gave a view, with the sentence of the commonest reason that showed a board."""
+        telling = Counter({reason: n for reason, n in self._counts.items() if reason != "no board"})
+        reason = (telling or self._counts).most_common(1)[0][0]
+        total = self._counts.total()
+        return DegenerateViews(
+            f"None of {total} frame{'s' * (total != 1)} shows {board} well enough. {self._sentences[reason]}"
+        )

@@ -224,7 +224,7 @@ def _read_text(path: Path) -> str:
     if len(data) > MAX_BYTES:
         raise InvalidInput(f"this is no camera_info: it is larger than {MAX_BYTES // 1024} kB.")
     try:
-        return data.decode("utf-8-sig")
+        return data.decode()
     except UnicodeDecodeError:
         raise InvalidInput("this is no camera_info: it is not text.") from None
 

@@ -51,6 +51,8 @@ MIN_GOOD_SHARE = 0.75
 MIN_CLAIMED = 12
 """Corners that a grid of another size must have before it is called a board: code and texture often line up
 three by three."""
+LOOKED_AT = 8
+"""Rows and columns of it that are tested: enough to tell, and quick on a large board."""
 MIN_BORDER_PX = 2.0
 """A corner closer to the border of the image does not show its four squares."""
 _ATTEMPTS = 3
@@ -205,8 +207,8 @@ def _is_board(grey: GreyImage, grid: Array) -> bool:
     filled = np.where(np.isfinite(grid), grid, prediction)
     if filled.shape[0] * filled.shape[1] < MIN_CLAIMED or not np.isfinite(filled).all():
         return False
-    corners = refine_corners(grey, filled)
-    residuals, allowed = planar_residuals(corners)
+    corners = refine_corners(grey, filled[:LOOKED_AT, :LOOKED_AT])
+    residuals, allowed = planar_residuals(corners, grey.shape)
     return bool(np.mean(corners.good & (np.linalg.norm(residuals, axis=2) < allowed)) > MIN_GOOD_SHARE)
 
 
@@ -223,7 +225,7 @@ def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
     grid = np.where(np.isfinite(grid), grid, prediction)
     for _ in range(_ATTEMPTS):
         corners = refine_corners(grey, grid)
-        residuals, allowed = planar_residuals(corners)
+        residuals, allowed = planar_residuals(corners, grey.shape)
         misplaced = np.linalg.norm(residuals, axis=2) > allowed
         bad = misplaced | ~corners.good
         if not bad.any():
@@ -242,7 +244,7 @@ def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
     if misplaced.any():
         raise BoardNotFound(
             "not planar",
-            f"{int(misplaced.sum())} of the {bad.size} corners do not lie where a flat board would show them; "
+            f"{int(misplaced.sum())} of the {bad.size} corners are not where a flat board would show them; "
             "hold the board flat and free of reflections.",
         )
     return corners
@@ -251,8 +253,7 @@ def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
 def _outside(grey: GreyImage, points: Array, margin: float) -> bool:
     """Whether any point lies beyond the border of the image or closer to it than a margin, pixels."""
     size = np.array(grey.shape[::-1])
-    with np.errstate(invalid="ignore"):
-        return bool(((points < margin) | (points > size - 1 - margin)).any())
+    return bool(((points < margin) | (points > size - 1 - margin)).any())
 
 
 def _in_order(grey: GreyImage, corners: RefinedCorners, board: Chessboard) -> tuple[Array, Array]:

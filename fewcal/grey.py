@@ -24,7 +24,7 @@ def as_grey(image: NDArray[Any]) -> GreyImage:
 
     Returns
     -------
-    (H, W) array of the same type, contiguous.
+    (H, W) array of the same depth, contiguous.
 
     Raises
     ------
@@ -33,19 +33,18 @@ def as_grey(image: NDArray[Any]) -> GreyImage:
     """
     if not isinstance(image, np.ndarray):
         raise InvalidInput(f"An image must be a numpy array, not {type(image).__name__}.")
-    if image.dtype not in (np.uint8, np.uint16):
+    if image.dtype.kind != "u" or image.dtype.itemsize > 2:
         raise InvalidInput(
             f"An image must hold uint8 or uint16, not {image.dtype}; scale and convert it first."
         )
-    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3, 4)) or image.size == 0:
+    colour = image.ndim == 3 and image.shape[2] in (1, 3, 4)
+    if image.size == 0 or not (image.ndim == 2 or colour):
         raise InvalidInput(
             f"An image must have shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), not {image.shape}."
         )
-    if image.dtype.byteorder == ">" or (image.dtype.byteorder == "=" and np.little_endian is False):
-        image = image.astype(image.dtype.newbyteorder("="))
-    channels = 1 if image.ndim == 2 else image.shape[2]
-    if channels == 1:
-        return np.ascontiguousarray(image.reshape(image.shape[:2]))
-    code = cv2.COLOR_BGR2GRAY if channels == 3 else cv2.COLOR_BGRA2GRAY
-    grey: GreyImage = cv2.cvtColor(np.ascontiguousarray(image), code)
+    native = np.ascontiguousarray(image, dtype=image.dtype.newbyteorder("="))
+    if image.ndim == 2 or image.shape[2] == 1:
+        return native.reshape(image.shape[:2])
+    code = cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+    grey: GreyImage = np.asarray(cv2.cvtColor(native, code), dtype=native.dtype)
     return grey

@@ -42,6 +42,7 @@ MAX_GRIDS = 3
 """Chains of corners that are grown, largest first."""
 SNAP_SHARE = 0.3
 """A missing corner is sought this far from its prediction, as a share of the distance to its neighbours."""
+_ALL, _HEAD, _TAIL = slice(None), slice(None, -1), slice(1, None)
 MAX_RINGS = 200
 """Rounds of growing; each adds at least one corner, so this only bounds a board of unusual size."""
 
@@ -91,7 +92,7 @@ def _closed_squares(grid: Indices) -> int:
 
 
 def _area(grid: Array) -> float:
-    """Area of a grid in the image, px^2: its corners times the mean of its squares."""
+    """Area of a grid in the image, px^2: that of the square at each of its corners."""
     across, down = local_axes(grid)
     squares = np.abs(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])
     return float(np.nansum(squares))
@@ -108,7 +109,7 @@ def _links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArr
     near = min(NEAREST + 1, len(points))
     _, neighbours = cKDTree(points).query(points, k=near)
     start = np.repeat(np.arange(len(points)), near - 1)
-    end = np.asarray(neighbours[:, 1:], dtype=np.intp).ravel()
+    end = np.asarray(neighbours, dtype=np.intp)[:, 1:].ravel()
     step = points[end] - points[start]
     # Sine of the angle between the step and each edge, from the cross product, against the tolerance.
     normals = np.stack([-np.sin(edges), np.cos(edges)], axis=-1)
@@ -250,7 +251,7 @@ def _grow(grid: Indices, swapped: bool, saddles: SaddlePoints, tree: cKDTree) ->
         points = np.where((wide >= 0)[..., None], saddles.points[wide], np.nan)
         prediction, spacing = predict(points)
         rows, columns = np.nonzero((wide < 0) & np.isfinite(prediction[..., 0]))
-        distance, nearest = tree.query(prediction[rows, columns])
+        distance, nearest = (np.asarray(part) for part in tree.query(prediction[rows, columns]))
         found = (distance < SNAP_SHARE * spacing[rows, columns]) & ~np.isin(nearest, grid)
         found &= _right_way_round(points, rows, columns, saddles.edges[nearest], swapped)
         rows, columns, nearest = rows[found], columns[found], nearest[found]
@@ -327,7 +328,7 @@ def _trim(image: Image, grid: Array) -> Array:
         worst = int(np.argmin(share))
         if share[worst] > MIN_RIM_SHARE:
             break
-        kept = (np.s_[1:], np.s_[:-1], np.s_[:, 1:], np.s_[:, :-1])[worst]
+        kept: tuple[slice, ...] = ((_TAIL,), (_HEAD,), (_ALL, _TAIL), (_ALL, _HEAD))[worst]
         grid, meet = grid[kept], meet[kept]
     return grid
 
@@ -335,11 +336,11 @@ def _trim(image: Image, grid: Array) -> Array:
 def _squares_meet(image: Image, grid: Array) -> NDArray[np.bool_]:
     """Whether two dark and two bright squares surround each corner, crosswise."""
     across, down = (QUADRANT_SHARE * axes for axes in local_axes(grid))
-    known = np.isfinite(grid + across + down).all(axis=2)
+    known = np.asarray(np.isfinite(grid + across + down).all(axis=2))
     quadrants = np.stack(
         [grid + across + down, grid - across - down, grid + across - down, grid - across + down]
     )
     values = sample(image, np.where(known[..., None], quadrants, 0))
     one, other = values[:2], values[2:]
     gap = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
-    return known & (gap > EDGE_CONTRAST * np.ptp(values, axis=0))
+    return np.asarray(known & (gap > EDGE_CONTRAST * np.ptp(values, axis=0)))

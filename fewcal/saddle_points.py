@@ -31,6 +31,10 @@ RING_SAMPLES = 24
 """Samples on the circle: 15 deg each, a fifth of the sector that a board tilted by 60 deg may narrow to."""
 MIN_CONTRAST = 0.03
 """Faintest step between black and white, as a share of the image's own range: 8 of 255 grey levels."""
+RANGE_PERCENT = (1, 99)
+"""Percentiles that bound the image's range: a hot pixel or a lamp is not part of it."""
+_EVERY = 4
+"""Pixels that the percentiles look at, each way."""
 MAX_ASYMMETRY = 0.35
 """Odd share of the energy on the circle: 0 at an ideal corner, 1 on an edge, about 0.5 at a T junction."""
 MAX_PEAKS = 2000
@@ -68,8 +72,8 @@ def find_saddle_points(image: Image) -> SaddlePoints:
     if min(image.shape) < 4 * RING_RADIUS_PX:
         return SaddlePoints(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
     smooth = np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR_PX), dtype=np.float32)
-    low, high, _, _ = cv2.minMaxLoc(smooth)
-    min_contrast = MIN_CONTRAST * (high - low)
+    low, high = np.percentile(smooth[::_EVERY, ::_EVERY], RANGE_PERCENT)
+    min_contrast = MIN_CONTRAST * float(high - low)
     return _with_four_sectors(smooth, _peaks(smooth, min_contrast), min_contrast)
 
 

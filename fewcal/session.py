@@ -5,7 +5,9 @@ The same class serves the live node and the offline command, so that the same fr
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,7 +87,6 @@ class FrameFilter:
     def __init__(self, board: Chessboard, criteria: Criteria = Criteria()) -> None:
         self.board = board
         self.criteria = criteria
-        self.image_size: tuple[int, int] | None = None
         self.read = 0
         self.with_board = 0
         self.rejected: Counter[str] = Counter()
@@ -109,9 +110,8 @@ class FrameFilter:
         Raises
         ------
         InvalidInput
-            When the array is no image, or its size differs from the frames before.
+            When the array is no image.
         """
-        self._check_size(image)
         self.read += 1
         try:
             detection = detect_board(image, self.board, source, stamp_ns)
@@ -140,18 +140,6 @@ class FrameFilter:
             )
         return Decision(True, "kept", "The board is whole, sharp and still.", detection)
 
-    def _check_size(self, image: NDArray[Any]) -> None:
-        if np.ndim(image) < 2:
-            raise InvalidInput("An image needs rows and columns.")
-        size = (int(image.shape[1]), int(image.shape[0]))
-        if self.image_size not in (None, size):
-            assert self.image_size is not None
-            raise InvalidInput(
-                f"The image size changed from {self.image_size[0]}x{self.image_size[1]} to "
-                f"{size[0]}x{size[1]}; all views of a calibration must have one size."
-            )
-        self.image_size = size
-
     def _motion_px(self, view: View) -> float:
         """Largest motion of a corner since the frame before; infinite when that frame had no board."""
         if self._previous is None or view.stamp_ns is None:
@@ -169,6 +157,11 @@ class FrameFilter:
     def _reject(self, reason: str, message: str, detection: Detection | None = None) -> Decision:
         self.rejected[reason] += 1
         return Decision(False, reason, message, detection)
+
+
+def size_of(image: NDArray[Any]) -> tuple[int, int]:
+    """(width, height) of an image array, pixels."""
+    return int(image.shape[1]), int(image.shape[0])
 
 
 class Session:
@@ -206,6 +199,7 @@ class Session:
         self.method = method
         self.priors = priors
         self.thresholds = thresholds
+        self.image_size: tuple[int, int] | None = None
         self._kept: list[View] = []
         self._judged: Calibration | None = None
 
@@ -222,20 +216,40 @@ class Session:
 
     def add(self, image: NDArray[Any], stamp_ns: int | None = None, source: str = "") -> Decision:
         """Take one frame, see :meth:`FrameFilter.look`; a kept frame's view is added to `views`."""
-        decision = self.frames.look(image, stamp_ns, source)
-        if not decision.kept or decision.detection is None:
-            return decision
-        decision = self._consider(decision.detection)
-        if not decision.kept:
-            self.frames.rejected[decision.reason] += 1
-        return decision
+        return self._take(image, stamp_ns, source, self._consider)
 
     def capture(self, image: NDArray[Any], stamp_ns: int | None = None, source: str = "") -> Decision:
         """Keep the view of one frame whatever it adds, if it is whole, sharp and still."""
+        return self._take(image, stamp_ns, source, self._capture)
+
+    def _take(
+        self,
+        image: NDArray[Any],
+        stamp_ns: int | None,
+        source: str,
+        judge: Callable[[Detection, tuple[int, int]], Decision],
+    ) -> Decision:
         decision = self.frames.look(image, stamp_ns, source)
-        if decision.kept and decision.detection is not None:
-            self._keep([*self._kept, decision.detection.view])
-        return decision
+        if decision.detection is None or not decision.kept:
+            return decision
+        size = size_of(image)
+        if self._kept and size != self.image_size:
+            result = self._other_size(decision.detection, size)
+        else:
+            result = judge(decision.detection, size)
+        if not result.kept:
+            self.frames.rejected[result.reason] += 1
+        return result
+
+    def _other_size(self, detection: Detection, size: tuple[int, int]) -> Decision:
+        assert self.image_size is not None
+        return Decision(
+            False,
+            "other size",
+            f"This image is {size[0]}x{size[1]}, the views kept are {self.image_size[0]}x"
+            f"{self.image_size[1]}; all views of a calibration must have one size: go back to it, or reset.",
+            detection,
+        )
 
     def calibrate(self) -> Calibration:
         """Calibrate from the views kept so far; they stay kept whatever happens.
@@ -245,54 +259,51 @@ class Session:
         DegenerateViews
             When there is no view, or the views determine no camera.
         """
-        size = self.frames.image_size
-        if not self._kept or size is None:
+        if not self._kept or self.image_size is None:
             raise DegenerateViews("No view has been kept yet; show the board whole, sharp and still.")
         if self.method == "map" and self._judged is not None:
             return self._judged
-        return calibrate(self._kept, size, self.method, self.priors, self.thresholds)
+        return calibrate(self._kept, self.image_size, self.method, self.priors, self.thresholds)
 
     def remove_last(self) -> None:
         """Forget the view kept last, if there is one."""
-        self._keep(self._kept[:-1])
+        if self._kept and self.image_size is not None:
+            self._keep(self._kept[:-1], self.image_size)
 
     def reset(self) -> None:
-        """Forget everything, the image size included."""
+        """Forget every view and every frame."""
         self.frames = FrameFilter(self.frames.board, self.frames.criteria)
-        self._keep([])
+        self._kept, self._judged, self.image_size = [], None, None
 
-    def _keep(self, views: list[View]) -> None:
-        size = self.frames.image_size
-        self._kept = views
-        self._judged = None
-        if views and size is not None:
-            try:
+    def _keep(self, views: list[View], size: tuple[int, int]) -> None:
+        self._kept, self.image_size, self._judged = views, size, None
+        if views:
+            # The views stay kept even when no camera can be found for them.
+            with contextlib.suppress(DegenerateViews):
                 self._judged = calibrate(views, size, "map", self.priors, self.thresholds)
-            except DegenerateViews:
-                self._judged = None
 
-    def _consider(self, detection: Detection) -> Decision:
+    def _capture(self, detection: Detection, size: tuple[int, int]) -> Decision:
+        self._keep([*self._kept, detection.view], size)
+        return Decision(True, "kept", f"View {len(self._kept)} is kept.", detection)
+
+    def _consider(self, detection: Detection, size: tuple[int, int]) -> Decision:
         """Judge a good view by the projection error that would be left with it and without it."""
         if not self._kept:
-            self._keep([detection.view])
-            return Decision(True, "kept", "The first view is kept.", detection)
-        assert self.frames.image_size is not None
+            return self._capture(detection, size)
         together = [*self._kept, detection.view]
         try:
-            trial = calibrate(together, self.frames.image_size, "map", self.priors, self.thresholds)
+            trial = calibrate(together, size, "map", self.priors, self.thresholds)
         except DegenerateViews as error:
             return Decision(False, "degenerate", str(error), detection)
         known = information(trial, self.priors)
         old = list(range(len(self._kept)))
-        if len(self._kept) < self.views_required:
-            again = known.projection_std(np.array([[*old, i] for i in old])).min()
-            chosen = (*old, len(old))
-        else:
-            again = known.projection_std(np.array([old]))[0]
-            chosen = best_subset(known, self.views_required)
+        full = len(old) >= self.views_required
+        # What a view has to beat: a second look at one that is there, or the views as they are.
+        rivals = [old] if full else [[*old, i] for i in old]
+        chosen = best_subset(known, len(old)) if full else (*old, len(old))
+        rival = known.projection_std(np.array(rivals)).min()
         expected = known.projection_std(np.array([chosen]))[0]
-        ratio = self.frames.criteria.max_error_ratio
-        if len(old) not in chosen or expected > ratio * again:
+        if len(old) not in chosen or expected > self.frames.criteria.max_error_ratio * rival:
             return Decision(
                 False,
                 "nothing new",
@@ -300,7 +311,6 @@ class Session:
                 "another axis.",
                 detection,
             )
-        replaced = len(self._kept) >= self.views_required
-        self._keep([together[i] for i in chosen])
-        message = f"The expected projection error falls from {again:.2f} to {expected:.2f} px."
-        return Decision(True, "replaced" if replaced else "kept", message, detection)
+        self._keep([together[i] for i in chosen], size)
+        message = f"The expected projection error falls from {rival:.2f} to {expected:.2f} px."
+        return Decision(True, "replaced" if full else "kept", message, detection)

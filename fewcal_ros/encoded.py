@@ -33,10 +33,23 @@ _TIFF_VALUE_BYTES = {3: 2, 4: 4, 5: 8, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}
 """Size of a value by its type, TIFF 6.0 section 2; all other types take one byte."""
 
 
+_JPEG_MARKER = re.compile(rb"\xff+([^\x00\xff])", re.DOTALL)
+_JPEG_MARKER_BEHIND_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)
+"""Inside a scan, 0xff is followed by zero or is a restart marker."""
+
+
 def _jpeg_is_whole(data: bytes) -> bool:
-    # A scan holds no bare marker, so an end marker behind the last start of a scan is the image's own
-    # end; one before it belongs to a thumbnail.
-    return data.rfind(b"\xff\xd9") > data.rfind(b"\xff\xda")
+    """Whether segment follows segment up to the end marker; damage inside a scan may go unnoticed."""
+    position = 2
+    while marker := _JPEG_MARKER.match(data, position):
+        kind, position = marker[1], marker.end()
+        if kind == b"\xd9":
+            return True
+        position += int.from_bytes(data[position : position + 2], "big")
+        if kind == b"\xda":
+            following = _JPEG_MARKER_BEHIND_SCAN.search(data, position)
+            position = following.start() if following else len(data)
+    return False
 
 
 def _png_is_whole(data: bytes) -> bool:
@@ -72,7 +85,7 @@ def _tiff_is_whole(data: bytes) -> bool:
         ]
     except struct.error:
         return False
-    return max([start + 2 + 12 * count, *ends]) <= len(data)
+    return all(end <= len(data) for end in (start + 2 + 12 * count, *ends))
 
 
 def _webp_is_whole(data: bytes) -> bool:

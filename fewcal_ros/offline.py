@@ -11,7 +11,7 @@ from fewcal.calibration import Calibration, calibrate
 from fewcal.constraints import Priors
 from fewcal.errors import DegenerateViews
 from fewcal.selection import best_subset, information, thin
-from fewcal.session import FrameFilter, Session
+from fewcal.session import FrameFilter, Session, size_of
 from fewcal.verdict import Thresholds, Verdict
 from fewcal.views import View
 
@@ -69,8 +69,6 @@ def calibrate_frames(frames: Iterable[Frame], settings: Settings) -> Outcome:
     ------
     DegenerateViews
         When no frame shows the board well enough, or the views determine no camera.
-    InvalidInput
-        When the image size changes within the frames.
     """
     if settings.select == "first" and settings.views is not None:
         outcome = _first(frames, settings, settings.views)
@@ -111,25 +109,30 @@ def _best(frames: Iterable[Frame], settings: Settings) -> Outcome:
     """Find every good view, then keep the subset that leaves the least uncertainty."""
     look = FrameFilter(settings.board)
     fates = _Fates()
-    good: list[View] = []
-    moving: list[View] = []
+    good: dict[tuple[int, int], list[View]] = {}
+    moving: dict[tuple[int, int], list[View]] = {}
     for frame in frames:
         decision = look.look(frame.image, frame.stamp_ns, frame.source)
         fates.note(decision.reason, decision.message)
         if decision.kept and decision.detection is not None:
-            good.append(decision.detection.view)
+            good.setdefault(size_of(frame.image), []).append(decision.detection.view)
         elif decision.reason == "moving" and decision.detection is not None:
-            moving.append(decision.detection.view)
+            moving.setdefault(size_of(frame.image), []).append(decision.detection.view)
     rejected = look.rejected.copy()
-    if len(good) < (settings.views or 1) and moving:
+    if max(map(len, good.values()), default=0) < (settings.views or 1) and moving:
         # A board that is never held still, but sharp all the same, is better than no answer.
-        good, rejected["moving"] = [*good, *moving], 0
+        for size, views in moving.items():
+            good.setdefault(size, []).extend(views)
+        rejected["moving"] = 0
     if not good:
         raise fates.no_view(settings.board)
-    assert look.image_size is not None
-    chosen = good if settings.views is None else _choose(good, look.image_size, settings, settings.views)
-    rejected["not selected"] = len(good) - len(chosen)
-    calibration = calibrate(chosen, look.image_size, settings.method, settings.priors, settings.thresholds)
+    # Images of another size are another camera, or the same one in another mode: the larger group counts.
+    size = max(good, key=lambda size: len(good[size]))
+    views = good.pop(size)
+    rejected["other size"] = sum(map(len, good.values()))
+    chosen = views if settings.views is None else _choose(views, size, settings, settings.views)
+    rejected["not selected"] = len(views) - len(chosen)
+    calibration = calibrate(chosen, size, settings.method, settings.priors, settings.thresholds)
     return Outcome(calibration, look.read, look.with_board, +rejected)
 
 

@@ -84,7 +84,7 @@ class Rosbag1Storage:
         for header, start, length in _records(file, size):
             whole = start + length <= size
             if header[b"op"][0] == _BAG_HEADER:
-                closed = _unsigned(header[b"index_pos"]) > 0
+                closed = 0 < _unsigned(header[b"index_pos"]) < size
             elif header[b"op"][0] == _CHUNK:
                 if position not in skip:
                     yield from self._chunk(header, file.read(min(length, size - start)), whole)

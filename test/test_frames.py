@@ -42,7 +42,7 @@ def read(*sources: Path | str, topic: str | None = None) -> tuple[list[Frame], F
 
 def numbers(frames: Sequence[Frame]) -> list[int]:
     """Which pictures these are; each must be one of them, to the pixel."""
-    found = [int(frame.image[0, 0]) // 7 for frame in frames]
+    found = [int(frame.image[0, 0]) for frame in frames]
     for number, frame in zip(found, frames, strict=True):
         np.testing.assert_array_equal(frame.image, picture(number))
     return found

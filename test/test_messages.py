@@ -305,6 +305,22 @@ def test_damaged_png_is_refused(place: float, flip: int) -> None:
         compressed_to_grey(compressed(bytes(data), "png"))
 
 
+def test_jpeg_with_thumbnail_cut_off_is_refused() -> None:
+    """The end of the thumbnail is not the end of the image."""
+    thumbnail = b"Exif\x00\x00" + encoded(".jpg", smooth()[:8, :8])
+    jpeg = encoded(".jpg", smooth())
+    whole = jpeg[:2] + b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail + jpeg[2:]
+    np.testing.assert_array_equal(compressed_to_grey(compressed(whole)), compressed_to_grey(compressed(jpeg)))
+    with pytest.raises(InvalidInput, match="cut off"):
+        compressed_to_grey(compressed(whole[:-40]))
+
+
+@pytest.mark.parametrize("flags", [[cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 2]])
+def test_jpeg_of_several_scans_or_with_restarts(flags: list[int]) -> None:
+    jpeg = bytes(cv2.imencode(".jpg", noise(13, np.uint8, 48, 64), flags)[1])
+    assert compressed_to_grey(compressed(jpeg)).shape == (48, 64)
+
+
 def test_jpeg_padded_by_its_driver_is_accepted() -> None:
     jpeg = encoded(".jpg", smooth())
     np.testing.assert_array_equal(

@@ -10,7 +10,7 @@ import sqlite3
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -19,12 +19,10 @@ from hypothesis import strategies as st
 from write_recordings import (
     FORMATS,
     IMAGE,
-    NO_SUMMARY,
     PERIOD_NS,
     START_NS,
     STRING,
     image,
-    picture,
     text,
     write_mcap,
     write_mcap_folder,
@@ -64,11 +62,11 @@ def seconds(limit: int) -> Iterator[None]:
 
 
 def surviving(path: Path) -> tuple[list[int], list[str]]:
-    """Numbers of the frames that are still read, and the warnings; the error as a warning if there are none."""
+    """Numbers of the frames that are still read, and the warnings; with no frame the error instead."""
     with seconds(10):
         try:
             reader = open_frames([path])
-            found = [int(frame.image[0, 0]) // 7 for frame in reader]
+            found = [int(frame.image[0, 0]) for frame in reader]
         except RecordingError as error:
             return [], [str(error)]
     return found, reader.warnings
@@ -82,7 +80,18 @@ def test_info(kind: str, tmp_path: Path) -> None:
     assert info.end_ns == START_NS + (COUNT - 1) * PERIOD_NS + 1
     assert info.duration_ns == info.end_ns - info.start_ns
     assert info.warnings == ()
-    assert info.format == ("MCAP" if "mcap" in kind else kind.split(",")[0].split(" lz4")[0].split(" bz2")[0])
+    assert info.format == next(
+        name for name in ("MCAP", "rosbag2 sqlite3", "rosbag1") if name.lower() in kind
+    )
+
+
+IN_ONE_BLOCK = {
+    "mcap of ros1",
+    "rosbag2 mcap, compressed storage",
+    "rosbag2 mcap, compressed file",
+    "rosbag2 sqlite3, compressed file",
+}
+"""What is too short here for zstd to make several blocks of 128 kB: of half a block nothing can be had."""
 
 
 class TestCutOff:
@@ -92,15 +101,12 @@ class TestCutOff:
     def test_half_a_file_gives_about_half_the_frames(self, kind: str, tmp_path: Path) -> None:
         recording = FORMATS[kind](tmp_path, MIXED)
         (file,) = files_of(recording)
-        # The frames must take most of the file, or its half may be the half without them.
-        whole = file.stat().st_size
-        os.truncate(file, int(0.6 * whole))
+        os.truncate(file, file.stat().st_size // 2)
         found, warnings = surviving(recording)
         assert warnings
-        if kind not in COMPRESSED_AS_ONE:
-            assert len(found) >= 3
         assert found == list(range(len(found)))
-        assert len(found) < COUNT
+        if kind not in IN_ONE_BLOCK:
+            assert COUNT // 4 <= len(found) <= 3 * COUNT // 4
 
     @pytest.mark.parametrize(
         "kind", ["mcap zstd", "mcap without chunks", "rosbag1", "rosbag1 lz4", "rosbag2 sqlite3"]
@@ -132,9 +138,9 @@ class TestCutOff:
 
     def test_a_single_big_chunk_gives_what_precedes_the_cut(self, tmp_path: Path) -> None:
         """A short recording has but one chunk: leaving it out would leave nothing."""
-        bag = write_mcap(tmp_path, MIXED)
+        bag = write_mcap(tmp_path, [image(index) for index in range(200)])
         os.truncate(bag, int(0.5 * bag.stat().st_size))
-        assert len(surviving(bag)[0]) >= 1
+        assert len(surviving(bag)[0]) >= 50
 
     def test_a_bag_that_was_never_closed(self, tmp_path: Path) -> None:
         bag = write_rosbag1(tmp_path, MIXED)
@@ -166,21 +172,18 @@ class TestCutOff:
         assert surviving(killed / "run.db3") == (list(range(COUNT)), [])
 
 
-COMPRESSED_AS_ONE = {
-    "mcap of ros1",
-    "mcap without summary",
-    "rosbag2 mcap, compressed storage",
-    "rosbag2 mcap, compressed file",
-    "rosbag2 sqlite3, compressed file",
-}
+@pytest.fixture(scope="module", params=FORMATS)
+def sound(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return FORMATS[request.param](tmp_path_factory.mktemp("sound"), MIXED[:8])
 
 
 class TestDamaged:
     """A file that is damaged in the middle gives the frames around the damage, and says so."""
 
     @pytest.mark.parametrize(
+        # The other chunks of a .bag have no checksum that could tell.
         "kind",
-        ["mcap zstd", "mcap lz4", "mcap uncompressed", "mcap without summary", "rosbag1 lz4", "rosbag1 bz2"],
+        ["mcap zstd", "mcap lz4", "mcap uncompressed", "mcap without summary", "rosbag1 bz2"],
     )
     def test_a_broken_chunk_costs_no_other(self, kind: str, tmp_path: Path) -> None:
         bag = FORMATS[kind](tmp_path, MIXED)
@@ -206,13 +209,13 @@ class TestDamaged:
         assert len(found) >= 50
         assert "damaged" in warnings[0]
 
-    @pytest.mark.parametrize("kind", FORMATS)
     @settings(max_examples=30, deadline=None)
     @given(seed=st.integers(0, 2**32 - 1))
-    def test_bytes_at_random_end_in_frames_or_a_sentence(self, kind: str, seed: int) -> None:
+    def test_bytes_at_random_end_in_frames_or_a_sentence(self, sound: Path, seed: int) -> None:
         chance = random.Random(seed)
         with tempfile.TemporaryDirectory() as folder:
-            recording = FORMATS[kind](Path(folder), MIXED[:8])
+            recording = Path(folder, sound.name)
+            shutil.copytree(sound.parent, folder, dirs_exist_ok=True)
             (file,) = files_of(recording)
             data = bytearray(file.read_bytes())
             for _ in range(chance.choice([1, 3, 30])):
@@ -222,11 +225,8 @@ class TestDamaged:
             file.write_bytes(data)
             found, warnings = surviving(recording)
             assert found or warnings
-            with seconds(10):
-                try:
-                    recording_info(recording)
-                except RecordingError as error:
-                    assert str(error).endswith(".")
+            with seconds(10), suppress(RecordingError):
+                recording_info(recording)
 
 
 class TestFolders:
@@ -349,7 +349,8 @@ def test_images_have_no_info(tmp_path: Path) -> None:
 def test_a_path_may_hold_any_character(tmp_path: Path) -> None:
     folder = tmp_path / "what? 100% #1 ä"
     folder.mkdir()
-    assert surviving(write_rosbag2(folder, MIXED)) == (list(range(COUNT)), [])
+    for file in (write_mcap(tmp_path, MIXED), write_rosbag1(tmp_path, MIXED), write_rosbag2(tmp_path, MIXED)):
+        assert surviving(Path(shutil.move(file, folder))) == (list(range(COUNT)), [])
 
 
 def test_nothing_is_left_beside_a_recording(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ STRING = "std_msgs/msg/String"
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
+WIDTH, HEIGHT = 64, 48
 
 
 @dataclass(frozen=True)
@@ -50,15 +51,16 @@ class Sample:
 
 
 def picture(index: int) -> NDArray[np.uint8]:
-    """A grey image that tells its number."""
-    y, x = np.mgrid[:24, :32]
-    return (x * 5 + y * 3 + index * 7).astype(np.uint8)
+    """A noisy grey image, which no compression makes small; its first pixel tells its number."""
+    grey = np.random.default_rng(index).integers(0, 256, (HEIGHT, WIDTH), np.uint8)
+    grey[0, 0] = index
+    return grey
 
 
 def image(index: int, topic: str = "/camera/image_raw", encoding: str = "mono8", **options: Any) -> Sample:
     """An Image recorded at the index-th period, stamped a millisecond before."""
     time = START_NS + index * PERIOD_NS
-    fields = (24, 32, encoding, 0, 32, picture(index).ravel())
+    fields = (HEIGHT, WIDTH, encoding, 0, WIDTH, picture(index).ravel())
     return Sample(topic, time, IMAGE, fields, **{"stamp_ns": time - 1_000_000, **options})
 
 
@@ -105,7 +107,7 @@ def write_rosbag2(
 
 
 def write_rosbag1(
-    path: Path, samples: Sequence[Sample], compression: str = "", chunk_bytes: int = 4096
+    path: Path, samples: Sequence[Sample], compression: str = "", chunk_bytes: int = 8000
 ) -> Path:
     writer = Rosbag1Writer(path / "run.bag")
     writer.chunk_threshold = chunk_bytes
@@ -129,7 +131,7 @@ def write_mcap_folder(path: Path, samples: Sequence[Sample], **options: Any) -> 
     return write_rosbag2(path, samples, StoragePlugin.MCAP, **options)
 
 
-SMALL_CHUNKS: dict[str, Any] = {"chunk_size": 3000}
+SMALL_CHUNKS: dict[str, Any] = {"chunk_size": 8000}
 NO_SUMMARY: dict[str, Any] = {
     "index_types": IndexType.NONE,
     "repeat_channels": False,

@@ -15,7 +15,7 @@ from .camera import Camera
 from .constraints import PRIOR_ROWS, Priors
 from .errors import InvalidInput
 from .least_squares import Stop
-from .map_estimator import CORRELATION, estimate_map, residual_scatter
+from .map_estimator import estimate_map, point_sigma
 from .parametrisation import PixelModel, ScaleFree
 from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
 from .posterior import NAMES, determined_share, posterior, projection_std
@@ -210,7 +210,7 @@ def _map_solution(found: Estimate, model: ScaleFree) -> _Solution:
 def _pixel_solution(found: Estimate, model: PixelModel, size: tuple[int, int], priors: Priors) -> _Solution:
     theta = found.geometry.theta[0]
     coefficients = model.coefficients(theta)
-    sigma = CORRELATION * float(residual_scatter(found.adjustment, found.geometry, priors)[0])
+    sigma = float(point_sigma(found.adjustment, found.geometry, priors)[0])
     covariance: Array | None = None
     if model.tangential:
         result = posterior(found.adjustment.rows(found.geometry))

@@ -35,11 +35,16 @@ FLOOR_PX = 0.005
 """Least sd of a corner: print, paper and lens models are not better than this, however low the noise."""
 MIN_EXPLAINED = 0.6
 """Share of the window's variance that the model must explain: 0.95 and more at a clean corner."""
+MIN_CONTRAST_SHARE = 0.2
+"""Least step of brightness at a corner, as a share of the board's median: light falls off and glare
+fills dark squares."""
+QUANTISATION = 1 / 12
+"""Variance of rounding to whole grey levels: no image has less noise."""
 MIN_BLUR_PX, MAX_BLUR_PX = 0.3, 30.0
 """A pixel is itself a blur of 0.29 px; beyond 30 px no window resolves the edge."""
 _ITERATIONS = 14
 """Levenberg-Marquardt steps; 5 to 8 suffice from the saddle point."""
-_CONVERGED_PX = 1e-3
+_CONVERGED_PX = 3e-3
 """Steps of the location below this are far below its sd."""
 _PARAMETERS = 10
 
@@ -56,6 +61,8 @@ class RefinedCorners:
         One sd of a point in either direction, pixels.
     blur : (R, C, 2)
         Gaussian sd of the edge along the row and along the column, pixels.
+    contrast : (R, C)
+        Half the step from dark to bright, grey levels; its sign tells which two of the four squares are dark.
     explained : (R, C)
         Share of the brightness variance that the model explains, at most 1.
     """
@@ -63,12 +70,16 @@ class RefinedCorners:
     points: Array
     sigma: Array
     blur: Array
+    contrast: Array
     explained: Array
 
     @property
     def good(self) -> NDArray[np.bool_]:
-        """(R, C) whether the image shows a corner there at all."""
-        return self.explained > MIN_EXPLAINED
+        """(R, C) whether the image shows a corner of this board there at all."""
+        step = np.where(np.indices(self.contrast.shape).sum(axis=0) % 2 == 0, self.contrast, -self.contrast)
+        usual = np.median(step)
+        enough = step * np.sign(usual) > MIN_CONTRAST_SHARE * abs(usual)
+        return np.asarray((self.explained > MIN_EXPLAINED) & enough)
 
 
 def refine_corners(image: Image, grid: Array) -> RefinedCorners:
@@ -84,14 +95,13 @@ def refine_corners(image: Image, grid: Array) -> RefinedCorners:
     across, down = local_axes(grid)
     shape = grid.shape[:2]
     axes = np.stack([across, down], axis=-2).reshape(-1, 2, 2)
-    points, sigma, blur, explained = _fit(image, grid.reshape(-1, 2), axes)
-    return RefinedCorners(
-        points.reshape(*shape, 2), sigma.reshape(shape), blur.reshape(*shape, 2), explained.reshape(shape)
-    )
+    p, sigma, explained = _fit(image, grid.reshape(-1, 2), axes)
+    p = p.reshape(*shape, _PARAMETERS)
+    return RefinedCorners(p[..., :2], sigma.reshape(shape), p[..., 4:6], p[..., 7], explained.reshape(shape))
 
 
-def _fit(image: Image, start: Array, axes: Array) -> tuple[Array, Array, Array, Array]:
-    """Fit the model at every start; points, sigma, blur of the two edges and share explained."""
+def _fit(image: Image, start: Array, axes: Array) -> tuple[Array, Array, Array]:
+    """Fit the model at every start; parameters (N, 10), sigma (N,) and share explained (N,)."""
     origin = np.rint(start)
     x, values, weights = _windows(image, origin, axes)
     p = _initial(start - origin, axes, x, values, weights)
@@ -113,12 +123,13 @@ def _fit(image: Image, start: Array, axes: Array) -> tuple[Array, Array, Array, 
     pixels = np.maximum(weights.sum(axis=1), 1)
     mean = np.sum(weights * values, axis=1) / pixels
     variance = np.sum(weights * (values - mean[:, None]) ** 2, axis=1)
-    noise = cost / np.maximum(pixels - _PARAMETERS, 1)
+    noise = np.maximum(cost / np.maximum(pixels - _PARAMETERS, 1), QUANTISATION)
     covariance = _solve(normal, np.broadcast_to(np.eye(_PARAMETERS), normal.shape), np.zeros(len(p)))
     spread = np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], 0) / 2
     sigma = np.sqrt(spread * noise + FLOOR_PX**2)
-    explained = 1 - cost / np.maximum(variance, 1e-12)
-    return origin + p[:, :2], sigma, p[:, 4:6], explained
+    explained = 1 - cost / np.maximum(variance, QUANTISATION * pixels)
+    p[:, :2] += origin
+    return p, sigma, explained
 
 
 def _linearise(p: Array, x: Array, values: Array, weights: Array) -> tuple[Array, Array, Array]:

@@ -28,15 +28,15 @@ from .boards import Chessboard
 from .corner_refinement import RefinedCorners, refine_corners
 from .errors import BoardNotFound
 from .grey import GreyImage, as_grey
-from .grid import find_grids, local_axes, predict
+from .grid import fill_gaps, find_grids, local_axes, predict
 from .planarity import planar_residuals
 from .saddle_points import find_saddle_points, sample
 from .views import View
 
 Array = NDArray[np.float64]
 
-COARSEST_PX = 400
-"""No reduced copy is smaller than this on its long side: a board across half of it has squares of 20 px."""
+COARSEST_PX = 300
+"""No reduced copy is smaller than this on its long side: a board across half of it has squares of 15 px."""
 SEARCHED_PX = 1000
 """Copies up to this size are always searched, larger ones only when there is evidence of a board; on a
 1920x1080 image that is every copy but the full one."""
@@ -120,17 +120,9 @@ def detect_board(
     grey = as_grey(image)
     grid = _find_grid(grey, board)
     corners = _locate(grey, grid)
-    square = _square_size(corners.points)
-    edge_width = EDGE_WIDTH_PER_BLUR * float(np.median(corners.blur, axis=(0, 1)).max())
-    if edge_width > MAX_EDGE_SHARE * square:
-        raise BoardNotFound(
-            "blurred",
-            f"The edges of the squares are {edge_width:.1f} px wide and the squares {square:.1f} px; "
-            "hold the board still, or focus.",
-        )
     points, sigma = _in_order(grey, corners, board)
     view = View(board.points, points, sigma, source, stamp_ns)
-    return Detection(view, edge_width, square)
+    return Detection(view, _edge_width(corners), _square_size(corners.points))
 
 
 def _find_grid(grey: GreyImage, board: Chessboard) -> Array:
@@ -181,10 +173,14 @@ def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound
     """Say why the largest grid of the image is not the board."""
     rows, columns = sorted(grid.shape[:2])
     asked_rows, asked_columns = sorted((board.rows, board.columns))
-    if rows < 3 or not _is_board(grey, grid):
+    part = grid[:LOOKED_AT, :LOOKED_AT]
+    corners = refine_corners(grey, fill_gaps(part)) if rows >= 3 and rows * columns >= MIN_CLAIMED else None
+    if corners is None or _passing(grey, corners) < MIN_GOOD_SHARE:
         return BoardNotFound(
             "no board", "No chessboard is to be seen; show it whole, well lit, with a white margin."
         )
+    if _is_blurred(corners):
+        return _blurred(corners)
     if board.columns < board.rows:
         rows, columns, asked_rows, asked_columns = columns, rows, asked_columns, asked_rows
     found, asked = f"{columns}x{rows}", f"{asked_columns}x{asked_rows}"
@@ -201,15 +197,27 @@ def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound
     )
 
 
-def _is_board(grey: GreyImage, grid: Array) -> bool:
-    """Whether most corners of a grid stand the tests that a board must stand, unlike texture or code."""
-    prediction, _ = predict(grid)
-    filled = np.where(np.isfinite(grid), grid, prediction)
-    if filled.shape[0] * filled.shape[1] < MIN_CLAIMED or not np.isfinite(filled).all():
-        return False
-    corners = refine_corners(grey, filled[:LOOKED_AT, :LOOKED_AT])
+def _passing(grey: GreyImage, corners: RefinedCorners) -> float:
+    """Share of the corners that stand the tests of a board, which texture and code do not."""
     residuals, allowed = planar_residuals(corners, grey.shape)
-    return bool(np.mean(corners.good & (np.linalg.norm(residuals, axis=2) < allowed)) > MIN_GOOD_SHARE)
+    return float(np.mean(corners.good & (np.linalg.norm(residuals, axis=2) < allowed)))
+
+
+def _edge_width(corners: RefinedCorners) -> float:
+    """Median width of the edges, pixels, along rows or along columns, whichever is wider."""
+    return EDGE_WIDTH_PER_BLUR * float(np.median(corners.blur, axis=(0, 1)).max())
+
+
+def _is_blurred(corners: RefinedCorners) -> bool:
+    return _edge_width(corners) > MAX_EDGE_SHARE * _square_size(corners.points)
+
+
+def _blurred(corners: RefinedCorners) -> BoardNotFound:
+    return BoardNotFound(
+        "blurred",
+        f"The edges of the squares are {_edge_width(corners):.1f} px wide and the squares "
+        f"{_square_size(corners.points):.1f} px; hold the board still, or focus.",
+    )
 
 
 def _at_border(grey: GreyImage, grid: Array) -> bool:
@@ -221,8 +229,7 @@ def _at_border(grey: GreyImage, grid: Array) -> bool:
 
 def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
     """Corners at full resolution; those that fail are looked for again where the others put them."""
-    prediction, _ = predict(grid)
-    grid = np.where(np.isfinite(grid), grid, prediction)
+    grid = fill_gaps(grid)
     for _ in range(_ATTEMPTS):
         corners = refine_corners(grey, grid)
         residuals, allowed = planar_residuals(corners, grey.shape)
@@ -231,6 +238,8 @@ def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
         if not bad.any():
             break
         grid = np.where(bad[..., None], corners.points - residuals, corners.points)
+    if _is_blurred(corners):
+        raise _blurred(corners)
     if _outside(grey, corners.points, MIN_BORDER_PX):
         raise BoardNotFound(
             "cut off", "Part of the board is beyond the border of the image; bring the whole board into it."

@@ -35,14 +35,22 @@ MIN_CORNERS = 8
 QUADRANT_SHARE = 0.25
 """Where the four squares about a corner are looked at: half way to their centres."""
 MIN_RIM_SHARE = 0.6
-"""Share of the corners of an outer row at which four squares must meet; a row of three may not lose two."""
+"""Share of the known corners of an outer row at which four squares must meet."""
+MIN_KNOWN_SHARE = 0.4
+"""Share of an outer row that must have been found at all; the rest is then located by its prediction."""
 MIN_SQUARES = 3
 """Fewest closed squares among them: of the four of a 3x3 board a missing corner leaves three."""
 MAX_GRIDS = 3
 """Chains of corners that are grown, largest first."""
 SNAP_SHARE = 0.3
 """A missing corner is sought this far from its prediction, as a share of the distance to its neighbours."""
-_ALL, _HEAD, _TAIL = slice(None), slice(None, -1), slice(1, None)
+_RIMS = ((0,), (-1,), (slice(None), 0), (slice(None), -1))
+_WITHOUT_RIM = (
+    (slice(1, None),),
+    (slice(None, -1),),
+    (slice(None), slice(1, None)),
+    (slice(None), slice(None, -1)),
+)
 MAX_RINGS = 200
 """Rounds of growing; each adds at least one corner, so this only bounds a board of unusual size."""
 
@@ -235,6 +243,17 @@ def predict(grid: Array) -> tuple[Array, Array]:
     return prediction, spacing
 
 
+def fill_gaps(grid: Array) -> Array:
+    """Put predictions where corners are unknown, from the rim of each gap inwards; (R, C, 2) pixels."""
+    while np.isnan(grid).any():
+        prediction, _ = predict(grid)
+        filled = np.where(np.isfinite(grid), grid, prediction)
+        if np.isnan(filled).sum() == np.isnan(grid).sum():
+            break
+        grid = filled
+    return grid
+
+
 def _mean(values: Array) -> Array:
     """Mean over the first axis of the values that are known."""
     known = np.isfinite(values)
@@ -322,19 +341,24 @@ def _trim(image: Image, grid: Array) -> Array:
     Beyond the board a narrow margin with something dark behind it shows a saddle at the end of every edge,
     but on the far side of such a row dark and bright do not alternate.
     """
-    meet = _squares_meet(image, grid)
-    while min(meet.shape) > 1:
-        share = [meet[0].mean(), meet[-1].mean(), meet[:, 0].mean(), meet[:, -1].mean()]
-        worst = int(np.argmin(share))
-        if share[worst] > MIN_RIM_SHARE:
+    known, meet = _squares_meet(image, grid)
+    while min(known.shape) > 1:
+        shares = [_rim_share(known[rim], meet[rim]) for rim in _RIMS]
+        worst = int(np.argmin(shares))
+        if shares[worst] > MIN_RIM_SHARE:
             break
-        kept: tuple[slice, ...] = ((_TAIL,), (_HEAD,), (_ALL, _TAIL), (_ALL, _HEAD))[worst]
-        grid, meet = grid[kept], meet[kept]
+        kept = _WITHOUT_RIM[worst]
+        grid, known, meet = grid[kept], known[kept], meet[kept]
     return grid
 
 
-def _squares_meet(image: Image, grid: Array) -> NDArray[np.bool_]:
-    """Whether two dark and two bright squares surround each corner, crosswise."""
+def _rim_share(known: NDArray[np.bool_], meet: NDArray[np.bool_]) -> float:
+    """Share of the known corners of a rim at which squares meet; 0 when too few are known to tell."""
+    return float(meet.sum() / known.sum()) if known.mean() > MIN_KNOWN_SHARE else 0.0
+
+
+def _squares_meet(image: Image, grid: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which corners are known, and at which of them two dark and two bright squares meet crosswise."""
     across, down = (QUADRANT_SHARE * axes for axes in local_axes(grid))
     known = np.asarray(np.isfinite(grid + across + down).all(axis=2))
     quadrants = np.stack(
@@ -343,4 +367,4 @@ def _squares_meet(image: Image, grid: Array) -> NDArray[np.bool_]:
     values = sample(image, np.where(known[..., None], quadrants, 0))
     one, other = values[:2], values[2:]
     gap = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
-    return np.asarray(known & (gap > EDGE_CONTRAST * np.ptp(values, axis=0)))
+    return known, np.asarray(known & (gap > EDGE_CONTRAST * np.ptp(values, axis=0)))

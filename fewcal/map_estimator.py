@@ -3,8 +3,9 @@
 Corner errors are not independent: a bent board, uneven ink and what the lens model leaves out move
 neighbouring corners together. So a view of N corners carries the information of fewer: the likelihood is
 raised to the power 1 / CORRELATION^2 (a composite likelihood), which is the same as a standard deviation of
-CORRELATION times the scatter s of the residuals. The scatter itself is unknown, with a log-normal prior, and
-is found with the camera by alternation.
+CORRELATION times the scatter s of the residuals. On top of it comes the part of the model error that camera
+and poses absorb, so that no residual shows it. The scatter itself is unknown, with a log-normal prior, and is
+found with the camera by alternation.
 """
 
 from __future__ import annotations
@@ -32,6 +33,11 @@ FOCAL_STARTS = (0.6, 1.2, 2.4, 5.0)
 CORRELATION = 2.0
 """Ratio of the standard deviation that counts to the scatter of the residuals: 0.5 px was found about right
 on real boards whose residuals scatter by 0.25 px (doc/estimator.md)."""
+MODEL_ERROR_PX = 0.3
+"""Model error that camera and poses absorb, pixels: with corners that scatter by less than 0.1 px, error bars
+without it are too small by half on real boards (doc/estimator.md)."""
+ABSORBED = 3.0
+"""Largest ratio of the absorbed model error to the scatter that it leaves; exact data have neither."""
 FOCAL_LIMITS = (0.05, 100.0)
 """Closed-form focal lengths outside this range, in max(width, height), are no use as starts."""
 ENUMERATED_VIEWS = 3
@@ -64,27 +70,34 @@ def estimate_map(views: ViewStack, image_size: tuple[int, int], priors: Priors) 
     """
     model = ScaleFree(image_size)
     start = _starts(views, model, priors)
-    scatter = np.full(len(start.theta), priors.corner_sigma_px[0])
-    problem = Adjustment(
-        views, model, lambda theta: priors.rows(theta, max(image_size)), CORRELATION * scatter
-    )
+    sigma = np.full(len(start.theta), _total_sigma(np.array(priors.corner_sigma_px[0])))
+    problem = Adjustment(views, model, lambda theta: priors.rows(theta, max(image_size)), sigma)
     found = minimise(problem, start, _COARSE)
     state = _best(problem, found.state, found.cost, priors, KEPT_STARTS)
     problem = problem.take(np.arange(len(state.theta)))
     for _ in range(ROUNDS):
-        scatter = residual_scatter(problem, state, priors)
-        change = np.abs(np.log(CORRELATION * scatter / problem.sigma)).max()
-        problem = replace(problem, sigma=CORRELATION * scatter)
+        sigma = point_sigma(problem, state, priors)
+        change = np.abs(np.log(sigma / problem.sigma)).max()
+        problem = replace(problem, sigma=sigma)
         found = minimise(problem, state, _ROUND)
         state = found.state
         if change < SCATTER_TOLERANCE:
             break
     state = _best(problem, state, found.cost, priors, 1)
-    problem = replace(
-        problem, sigma=CORRELATION * residual_scatter(problem.take(np.arange(1)), state, priors)
-    )
+    problem = problem.take(np.arange(1))
+    problem = replace(problem, sigma=point_sigma(problem, state, priors))
     last = minimise(problem, state, _FINE)
     return Estimate(problem, last.state, Stop(int(last.stop[0])))
+
+
+def point_sigma(problem: Adjustment, state: Geometry, priors: Priors) -> Array:
+    """Standard deviation of an image point of weight 1 for each start, pixels, (B,)."""
+    return _total_sigma(_scatter(problem, state, priors))
+
+
+def _total_sigma(scatter: Array) -> Array:
+    total: Array = np.hypot(CORRELATION * scatter, np.minimum(MODEL_ERROR_PX, ABSORBED * scatter))
+    return total
 
 
 def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> Geometry:
@@ -127,13 +140,14 @@ def _best(problem: Adjustment, state: Geometry, cost: Array, priors: Priors, cou
             "No camera has these views in front of it; check that object and image points belong together."
         )
     state, problem, cost = Geometry(*(part[usable] for part in state)), problem.take(usable), cost[usable]
-    scatter = residual_scatter(problem, state, priors)
+    scatter = _scatter(problem, state, priors)
+    sigma = _total_sigma(scatter)
     squares = problem.squares(state).sum(axis=1)
     informative = _degrees_of_freedom(problem.views) / CORRELATION**2
     deviation = np.log(scatter / priors.corner_sigma_px[0]) / priors.corner_sigma_px[1]
     constraint = (problem.constraint(state.theta)[0] ** 2).sum(axis=1)
-    profile = 0.5 * (squares / (CORRELATION * scatter) ** 2 + constraint + deviation**2)
-    profile += informative * np.log(scatter)
+    profile = 0.5 * (squares / sigma**2 + constraint + deviation**2)
+    profile += informative * np.log(sigma)
     kept: list[int] = []
     for item in np.argsort(profile, kind="stable"):
         # Two starts that agree to 1e-3 in every unknown of the camera have found one minimum.
@@ -144,7 +158,7 @@ def _best(problem: Adjustment, state: Geometry, cost: Array, priors: Priors, cou
     return Geometry(*(part[kept] for part in state))
 
 
-def residual_scatter(problem: Adjustment, state: Geometry, priors: Priors) -> Array:
+def _scatter(problem: Adjustment, state: Geometry, priors: Priors) -> Array:
     """Scatter s of the residuals, pixels: the root of n (1 - q / s^2) + ln(s / s0) / tau^2 = 0.
 
     n is the number of degrees of freedom over CORRELATION^2, q their mean square. The left side is concave

@@ -37,6 +37,9 @@ _EVERY = 4
 """Pixels that the percentiles look at, each way."""
 MAX_ASYMMETRY = 0.35
 """Odd share of the energy on the circle: 0 at an ideal corner, 1 on an edge, about 0.5 at a T junction."""
+MAX_CENTRE_SHARE = 0.42
+"""How far the centre may be from half way between dark and bright, as a share of the step: it is there at a
+corner, off by 0.2 where the bright squares are overexposed, and by 0.5 on a stripe as wide as the circle."""
 MAX_PEAKS = 2000
 """Peaks looked at, strongest first: bounds the time on gravel and foliage; a board has a few hundred."""
 
@@ -114,7 +117,9 @@ def _with_four_sectors(smooth: NDArray[np.float32], peaks: Array, min_contrast: 
     values = sample(smooth, ring)
     even = (values[:, :half] + values[:, half:]) / 2
     odd = (values[:, :half] - values[:, half:]) / 2
-    even = even - (even.max(axis=1, keepdims=True) + even.min(axis=1, keepdims=True)) / 2
+    middle = (even.max(axis=1, keepdims=True) + even.min(axis=1, keepdims=True)) / 2
+    centre = sample(smooth, peaks) - middle[:, 0]
+    even = even - middle
     energy = np.sum(even**2, axis=1) + np.sum(odd**2, axis=1)
     following = np.roll(even, -1, axis=1)
     following[:, -1] = even[:, 0]  # half a turn further the circle repeats itself
@@ -124,6 +129,7 @@ def _with_four_sectors(smooth: NDArray[np.float32], peaks: Array, min_contrast: 
         & (rises.sum(axis=1) == 1)
         & (np.sum(odd**2, axis=1) < MAX_ASYMMETRY * energy)
         & (np.ptp(even, axis=1) > min_contrast)
+        & (np.abs(centre) < MAX_CENTRE_SHARE * np.ptp(even, axis=1))
     )
     even, following, falls, rises = even[good], following[good], falls[good], rises[good]
     into_dark, into_bright = _crossing(even, following, falls), _crossing(even, following, rises)

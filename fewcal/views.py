@@ -15,7 +15,7 @@ PLANARITY_TOLERANCE = 1e-6
 """Largest distance of a point from the board's plane, as a share of the board's extent: numbers that
 were meant to be planar miss by rounding alone."""
 
-MODEL_ERROR_PX = 0.1
+UNEXPLAINED_PX = 0.1
 """What board and lens model leave unexplained at a perfectly located corner, pixels: the best residuals of
 real boards scatter by about as much. It bounds how much more one corner can count than another."""
 
@@ -135,7 +135,7 @@ def stack_views(views: Sequence[View]) -> ViewStack:
         points[i, :count] = view.object_points - centroid[i]
         pixels[i, :count] = view.image_points
         pixels[i, count:] = view.image_points.mean(axis=0)
-        weights[i, :count] = 1 if view.sigma is None else 1 / np.hypot(view.sigma, MODEL_ERROR_PX)
+        weights[i, :count] = 1 if view.sigma is None else 1 / np.hypot(view.sigma, UNEXPLAINED_PX)
         if np.any(points[i, :, 2]):
             axes = np.linalg.svd(points[i, :count], full_matrices=True)[2]
             plane[i] = (axes * [[1], [1], [np.linalg.det(axes)]]).T

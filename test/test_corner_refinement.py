@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from board_pictures import BOARD, picture, pose
+
+from fewcal.corner_refinement import _model, refine_corners
+
+
+def test_derivatives_of_the_model() -> None:
+    p = np.array([[0.3, -0.2, 0.4, 1.7, 1.2, 0.9, 100.0, 60.0, 0.002, -0.003]])
+    x = np.stack([g.ravel() for g in np.mgrid[-5:6, -5:6].astype(float)])
+    _, J = _model(p, x)
+    for k in range(p.shape[1]):
+        step = np.zeros_like(p)
+        step[0, k] = 1e-5 * max(1.0, abs(p[0, k]))
+        numeric = (_model(p + step, x)[0] - _model(p - step, x)[0]) / (2 * step[0, k])
+        np.testing.assert_allclose(J[:, k], numeric, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("start_px", [0.0, 1.0, 3.0])
+def test_corners_are_reached_from_a_start_that_is_off(start_px: float) -> None:
+    image, true = picture(pose(BOARD, 36, 20, 40, 15))
+    grid = true.reshape(6, 9, 2) + start_px * np.random.default_rng(0).uniform(-1, 1, (6, 9, 2))
+    corners = refine_corners(image, grid)
+    assert corners.good.all()
+    assert np.abs(corners.points - true.reshape(6, 9, 2)).max() < 0.06
+    assert np.median(corners.blur) == pytest.approx(np.hypot(0.7, 12**-0.5), rel=0.05)
+
+
+def test_sigma_grows_with_noise_blur_and_small_squares() -> None:
+    def sigma(square_px: float, **conditions: float) -> float:
+        image, true = picture(pose(BOARD, square_px, 20, 40, 15), **conditions)
+        return float(np.median(refine_corners(image, true.reshape(6, 9, 2)).sigma))
+
+    usual = sigma(30, read_noise=2.0)
+    assert sigma(30, read_noise=6.0) > 1.6 * usual
+    assert sigma(30, read_noise=2.0, blur_px=3.0) > 1.5 * usual
+    assert sigma(12, read_noise=2.0) > 1.3 * usual
+
+
+def test_where_there_is_no_corner_none_is_good() -> None:
+    image, true = picture(pose(BOARD, 36, 20, 40, 15))
+    grid = true.reshape(6, 9, 2)
+    middle = (grid[:-1, :-1] + grid[1:, 1:]) / 2
+    assert refine_corners(image, middle).good.mean() < 0.2
+    assert not refine_corners(np.full_like(image, 200), grid).good.any()
+
+
+def test_corners_outside_the_image_are_not_good() -> None:
+    image, true = picture(pose(BOARD, 36, 20, 40, 15))
+    grid = true.reshape(6, 9, 2) - true[4]
+    assert not refine_corners(image, grid - 50).good[0].any()

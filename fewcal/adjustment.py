@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .constraints import reprojection
 from .least_squares import NormalEquations, Stop
-from .parametrisation import Parametrisation
+from .parametrisation import Parametrisation, ScaleFree
 from .views import ViewStack
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ class Rows(NamedTuple):
     Attributes
     ----------
     r : (B, V, 2 N) reprojection
-    by_camera : (B, V, 2 N, S)
+    by_camera : (B, V, 2 N, S), along the steps that :meth:`Adjustment.retract` takes
     by_pose : (B, V, 2 N, 6), turn about the camera's axes (rad) and shift of the centroid (m)
     prior : (B, K)
     prior_by_camera : (B, K, S)
@@ -79,6 +79,8 @@ class Adjustment:
         turned = self.views.points @ np.swapaxes(rotation, -1, -2)
         pixels, d_points, d_theta = self.model.project(turned + position[..., None, :], theta)
         by_pose = np.concatenate([_by_turn(d_points, turned), d_points], axis=-1)
+        if isinstance(self.model, ScaleFree):
+            d_theta[..., 0] += d_points[..., 2] * position[..., None, None, 2]
         weights = self.views.weights / self.sigma[:, None, None]
         r, (by_camera, by_pose) = reprojection(pixels, self.views.pixels, weights, d_theta, by_pose)
         return Rows(r, by_camera, by_pose, *self.constraint(theta))
@@ -102,9 +104,16 @@ class Adjustment:
             )
 
     def retract(self, state: Geometry, shared: Array, local: Array) -> Geometry:
-        """Step away from a state: camera unknowns, then a turn and a shift of each board."""
-        turn = rotation_from_vector(local[..., :3])
-        return Geometry(state.theta + shared, turn @ state.rotation, state.position + local[..., 3:])
+        """Step away from a state: camera unknowns, then a turn and a shift of each board.
+
+        A step of ln f moves the boards away in proportion, so that their size in the image stays: the valley
+        along which focal length and distance compensate each other is straight then, and quickly walked.
+        """
+        position = state.position + local[..., 3:]
+        if isinstance(self.model, ScaleFree):
+            with np.errstate(over="ignore"):
+                position[..., 2] += state.position[..., 2] * np.expm1(shared[:, None, 0])
+        return Geometry(state.theta + shared, rotation_from_vector(local[..., :3]) @ state.rotation, position)
 
     def take(self, items: NDArray[np.intp]) -> Adjustment:
         """Keep some starts only."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -155,9 +155,10 @@ def calibrate(
         When the closed form of zhu2020 or zhang finds no focal length.
     """
     size = _checked_size(image_size)
-    views = tuple(views)
-    if not all(isinstance(view, View) for view in views):
-        raise InvalidInput("views must be a list of fewcal.View.")
+    views = _checked_views(views)
+    for name, value, kind in (("priors", priors, Priors), ("thresholds", thresholds, Thresholds)):
+        if not isinstance(value, kind):
+            raise InvalidInput(f"{name} must be fewcal.{kind.__name__}, not {value!r}.")
     stack = stack_views(views)
     if method == "map":
         found = estimate_map(stack, size, priors)
@@ -191,14 +192,19 @@ class _Solution:
 def _map_solution(found: Estimate, model: ScaleFree) -> _Solution:
     theta = found.geometry.theta[0]
     natural = model.natural(theta)
-    fx, fy, cx, cy = natural[:4].tolist()
-    camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
+    if model.in_pixels:
+        coefficients = model.pixel_coefficients(theta)
+        camera = nearest_plumb_bob(np.append(natural[:4], 0.0), coefficients, model.image_size)
+    else:
+        fx, fy, cx, cy = natural[:4].tolist()
+        camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
+        coefficients = from_plumb_bob(camera)
     rows = found.adjustment.rows(found.geometry)
     result = posterior(rows)
     J = model.natural_jacobian(theta)
     return _Solution(
         camera,
-        from_plumb_bob(camera),
+        coefficients,
         0.0,
         float(found.adjustment.sigma[0]),
         J @ result.covariance @ J.T,
@@ -286,6 +292,13 @@ def _squared_errors(found: Estimate) -> Array:
     unweighted = views._replace(weights=(views.weights > 0).astype(float))
     squares: Array = replace(found.adjustment, views=unweighted).squares(found.geometry)[0]
     return squares
+
+
+def _checked_views(views: Sequence[View]) -> tuple[View, ...]:
+    listed = tuple(views) if isinstance(views, Iterable) else (None,)
+    if not all(isinstance(view, View) for view in listed):
+        raise InvalidInput("views must be a list of fewcal.View.")
+    return listed
 
 
 def _checked_size(image_size: tuple[int, int]) -> tuple[int, int]:

@@ -118,27 +118,30 @@ def detect_board(
 ) -> Detection:
     """Find a board as :func:`detect` does, and measure how sharply the image shows it."""
     grey = as_grey(image)
-    grid = _find_grid(grey, board)
-    corners = _locate(grey, grid)
+    corners = _find_corners(grey, board)
     points, sigma = _in_order(grey, corners, board)
     view = View(board.points, points, sigma, source, stamp_ns)
     return Detection(view, _edge_width(corners), _square_size(corners.points))
 
 
-def _find_grid(grey: GreyImage, board: Chessboard) -> Array:
-    """Grid of the board's size, (R, C, 2) pixels of the full image, approximate, gaps as NaN."""
-    best = np.empty((0, 0, 2))
+def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
+    """Locate the first grid of the board's size that stands all tests, coarse to fine."""
+    largest = np.empty((0, 0, 2))
+    failure: BoardNotFound | None = None
     for factor in _reductions(grey):
-        if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(best / factor):
+        if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(largest / factor):
             break
         reduced = _reduce(grey, factor)
-        for grid in find_grids(reduced, find_saddle_points(reduced)):
-            full = (grid + 0.5) * factor - 0.5
+        for found in find_grids(reduced, find_saddle_points(reduced)):
+            grid = (found + 0.5) * factor - 0.5
             if sorted(grid.shape[:2]) == sorted((board.columns, board.rows)):
-                return full
-            if grid.shape[0] * grid.shape[1] > best.shape[0] * best.shape[1]:
-                best = full
-    raise _not_found(grey, best, board)
+                try:
+                    return _locate(grey, grid)
+                except BoardNotFound as error:
+                    failure = failure or error
+            elif grid.size > largest.size:
+                largest = grid
+    raise failure or _not_found(grey, largest, board)
 
 
 def _shows_small_squares(grid: Array) -> bool:

@@ -67,7 +67,8 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
 
     Returns
     -------
-    list of (R, C, 2) arrays, largest in the image first: pixels, NaN where a corner was not found.
+    list of (R, C, 2) arrays, largest in the image first: pixels, NaN where a corner was not found,
+    which :func:`fill_gaps` can complete.
     """
     if len(saddles.points) < MIN_CORNERS:
         return []
@@ -88,7 +89,7 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
             continue
         grid = _grow(grid, swapped, saddles, tree)
         points = _trim(image, np.where((grid >= 0)[..., None], saddles.points[grid], np.nan))
-        if min(points.shape[:2]) > 1:
+        if min(points.shape[:2]) > 1 and np.isfinite(fill_gaps(points)).all():
             grids.append(points)
     return sorted(grids, key=_area, reverse=True)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,10 @@ MODEL_ERROR_PX = 0.3
 without it are too small by half on real boards (doc/estimator.md)."""
 ABSORBED = 3.0
 """Largest ratio of the absorbed model error to the scatter that it leaves; exact data have neither."""
+TRUSTING_PX = 0.01
+"""Standard deviation with which data are taken at their word at first; no camera measures better."""
+COMPUTED_PX = 0.02
+"""Scatter that the corners of no camera stay below, pixels."""
 FOCAL_LIMITS = (0.05, 100.0)
 """Closed-form focal lengths outside this range, in max(width, height), are no use as starts."""
 ENUMERATED_VIEWS = 3
@@ -68,26 +73,52 @@ def estimate_map(views: ViewStack, image_size: tuple[int, int], priors: Priors) 
     DegenerateViews
         When no start leads to a camera with the board in front of it.
     """
-    model = ScaleFree(image_size)
+    found = _estimate(views, ScaleFree(image_size), priors)
+    if found.lowest_sigma < _total_sigma(np.array(COMPUTED_PX)):
+        # Points this exact were computed, perhaps with the paper's camera, whose distortion acts on pixels.
+        in_pixels = _estimate(views, ScaleFree(image_size, in_pixels=True), priors)
+        if in_pixels.objective < found.objective:
+            return in_pixels.estimate
+    return found.estimate
+
+
+class _Found(NamedTuple):
+    """The best minimum, its objective, and the smallest noise of all minima followed."""
+
+    estimate: Estimate
+    objective: float
+    lowest_sigma: float
+
+
+def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
+    """Find the best minimum for one camera model."""
     start = _starts(views, model, priors)
+    width = max(model.image_size)
     sigma = np.full(len(start.theta), _total_sigma(np.array(priors.corner_sigma_px[0])))
-    problem = Adjustment(views, model, lambda theta: priors.rows(theta, max(image_size)), sigma)
+    problem = Adjustment(views, model, lambda theta: priors.rows(theta, width), sigma)
     found = minimise(problem, start, _COARSE)
-    state = _best(problem, found.state, found.cost, priors, KEPT_STARTS)
-    problem = problem.take(np.arange(len(state.theta)))
+    state, _ = _best(problem, found.state, found.cost, priors, KEPT_STARTS)
+    # Noise and camera can explain the same residuals in two ways: much noise and a camera that the prior
+    # likes, or little noise and the camera that the data ask for. Both are followed, and judged at the end.
+    state = Geometry(*(np.concatenate([part, part]) for part in state))
+    problem = problem.take(np.zeros(len(state.theta), dtype=np.intp))
+    sigma = point_sigma(problem, state, priors)
+    sigma[len(sigma) // 2 :] = TRUSTING_PX
+    problem = replace(problem, sigma=sigma)
+    found = minimise(problem, state, _ROUND)
     for _ in range(ROUNDS):
-        sigma = point_sigma(problem, state, priors)
+        sigma = point_sigma(problem, found.state, priors)
         change = np.abs(np.log(sigma / problem.sigma)).max()
         problem = replace(problem, sigma=sigma)
-        found = minimise(problem, state, _ROUND)
-        state = found.state
+        found = minimise(problem, found.state, _ROUND)
         if change < SCATTER_TOLERANCE:
             break
-    state = _best(problem, state, found.cost, priors, 1)
+    lowest = float(problem.sigma.min())
+    state, objective = _best(problem, found.state, found.cost, priors, 1)
     problem = problem.take(np.arange(1))
     problem = replace(problem, sigma=point_sigma(problem, state, priors))
     last = minimise(problem, state, _FINE)
-    return Estimate(problem, last.state, Stop(int(last.stop[0])))
+    return _Found(Estimate(problem, last.state, Stop(int(last.stop[0]))), objective, lowest)
 
 
 def point_sigma(problem: Adjustment, state: Geometry, priors: Priors) -> Array:
@@ -132,8 +163,10 @@ def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> Geometry:
     return Geometry(theta.reshape(-1, 8), R.reshape(-1, count, 3, 3), t.reshape(-1, count, 3))
 
 
-def _best(problem: Adjustment, state: Geometry, cost: Array, priors: Priors, count: int) -> Geometry:
-    """Keep the distinct minima of lowest cost, each judged at the scatter that suits it best."""
+def _best(
+    problem: Adjustment, state: Geometry, cost: Array, priors: Priors, count: int
+) -> tuple[Geometry, float]:
+    """Keep the distinct minima of lowest objective, each judged at the scatter that suits it best."""
     usable = np.flatnonzero(np.isfinite(cost))
     if not len(usable):
         raise DegenerateViews(
@@ -155,7 +188,7 @@ def _best(problem: Adjustment, state: Geometry, cost: Array, priors: Priors, cou
             kept.append(int(item))
         if len(kept) == count:
             break
-    return Geometry(*(part[kept] for part in state))
+    return Geometry(*(part[kept] for part in state)), float(profile[kept[0]])
 
 
 def _scatter(problem: Adjustment, state: Geometry, priors: Priors) -> Array:

@@ -19,9 +19,13 @@ class ScaleFree(NamedTuple):
     ln fx; ln(fy / fx); principal point offset from ((w-1)/2, (h-1)/2) in image diagonals; a1 = k1 rc^2,
     a2 = k2 rc^4, b1 = p1 rc, b2 = p2 rc, with rc = half the diagonal / fx at the current fx. The skew and k3
     are zero.
+
+    With `in_pixels` the distortion acts on pixels as in the paper (eqs 10-13) instead of on normalised
+    coordinates as in plumb_bob. The two differ by the distortion times ln(fy / fx), hundredths of a pixel.
     """
 
     image_size: tuple[int, int]
+    in_pixels: bool = False
 
     @property
     def size(self) -> int:
@@ -92,11 +96,27 @@ class ScaleFree(NamedTuple):
         d_points : (B, V, N, 2, 3)
         d_theta : (B, V, N, 2, size)
         """
+        if self.in_pixels:
+            return self._project_in_pixels(points, theta)
         natural = self.natural(theta)[:, None, :]
         distortion = np.concatenate([natural[..., 4:], np.zeros_like(natural[..., :1])], axis=-1)
         found = project_jacobians(points, natural[..., :4], distortion)
         d_natural = np.concatenate([found.d_intrinsics, found.d_distortion[..., :4]], axis=-1)
         d_theta = d_natural @ self.natural_jacobian(theta)[:, None, None]
+        return found.pixels, found.d_points, d_theta
+
+    def pixel_coefficients(self, theta: Array) -> Array:
+        """(..., 4) k1, k2, k3, k4 of the paper's eqs 10-13 that the unknowns mean with `in_pixels`."""
+        half = self.diagonal / 2
+        return theta[..., [4, 5, 7, 6]] / half ** np.array([2, 4, 1, 1])
+
+    def _project_in_pixels(self, points: Array, theta: Array) -> tuple[Array, Array, Array]:
+        natural = self.natural(theta)[:, None, :]
+        intrinsics = np.concatenate([natural[..., :4], np.zeros_like(natural[..., :1])], axis=-1)
+        found = project_pixel_model_jacobians(points, intrinsics, self.pixel_coefficients(theta)[:, None, :])
+        to_intrinsics = self.natural_jacobian(theta)[:, None, None, :4, :4]
+        by_distortion = found.d_distortion[..., [0, 1, 3, 2]] / (self.diagonal / 2) ** np.array([2, 4, 1, 1])
+        d_theta = np.concatenate([found.d_intrinsics[..., :4] @ to_intrinsics, by_distortion], axis=-1)
         return found.pixels, found.d_points, d_theta
 
 

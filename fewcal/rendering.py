@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -278,7 +278,7 @@ def _pattern(position: Array, board: Chessboard) -> tuple[Floats, NDArray[np.boo
 
 def _expose(scene: Floats, conditions: Conditions, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Turn reflectances (H, W) into grey levels."""
-    image = scene * _light(scene.shape, conditions)
+    image: NDArray[Any] = scene * _light(scene.shape, conditions)
     if conditions.blur_px > 0:
         image = cv2.GaussianBlur(image, (0, 0), conditions.blur_px, borderType=cv2.BORDER_REPLICATE)
     if conditions.motion_px > 0:
@@ -290,7 +290,8 @@ def _expose(scene: Floats, conditions: Conditions, rng: np.random.Generator) -> 
         signal += noise * rng.standard_normal(signal.shape, dtype=np.float32)
     step = 2 ** (8 - conditions.bit_depth)
     levels = np.round((signal + np.float32(conditions.black_level)) / step) * step
-    return np.clip(levels, 0, 256 - step).astype(np.uint8)
+    grey: NDArray[np.uint8] = np.clip(levels, 0, 256 - step).astype(np.uint8)
+    return grey
 
 
 def _light(shape: tuple[int, ...], conditions: Conditions) -> Floats:
@@ -301,8 +302,8 @@ def _light(shape: tuple[int, ...], conditions: Conditions) -> Floats:
     u = ((np.arange(width) - (width - 1) / 2) / half_diagonal).astype(np.float32)
     angle = math.radians(conditions.light_deg)
     slope = (1 - u * math.cos(angle) - v * math.sin(angle)) / 2
-    light: Floats = (1 - conditions.light_slope * slope) * (1 - conditions.vignetting * (u * u + v * v))
-    return light
+    light = (1 - conditions.light_slope * slope) * (1 - conditions.vignetting * (u * u + v * v))
+    return light.astype(np.float32)
 
 
 def _motion_kernel(length: float, angle: float) -> Floats:

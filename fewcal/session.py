@@ -19,6 +19,7 @@ from .calibration import Calibration, calibrate
 from .constraints import Priors
 from .detection import Detection, detect_board
 from .errors import BoardNotFound, DegenerateViews, InvalidInput
+from .grey import as_grey
 from .selection import best_subset, information
 from .verdict import Thresholds
 from .views import View
@@ -112,9 +113,10 @@ class FrameFilter:
         InvalidInput
             When the array is no image.
         """
+        grey = as_grey(image)  # what is no image is not counted as a frame
         self.read += 1
         try:
-            detection = detect_board(image, self.board, source, stamp_ns)
+            detection = detect_board(grey, self.board, source, stamp_ns)
         except BoardNotFound as error:
             self._remember(stamp_ns, None)
             return self._reject(error.reason, str(error))
@@ -149,7 +151,7 @@ class FrameFilter:
             return 0.0
         if before is None:
             return float("inf")
-        return float(np.linalg.norm(view.image_points - before.image_points, axis=1).max())
+        return shift_px(view, before)
 
     def _remember(self, stamp_ns: int | None, view: View | None) -> None:
         self._previous = None if stamp_ns is None else (stamp_ns, view)
@@ -164,12 +166,16 @@ def size_of(image: NDArray[Any]) -> tuple[int, int]:
     return int(image.shape[1]), int(image.shape[0])
 
 
+def shift_px(view: View, other: View) -> float:
+    """Largest distance between where two views of one board show the same corner, pixels."""
+    return float(np.linalg.norm(view.image_points - other.image_points, axis=1).max())
+
+
 class Session:
     """Takes frames one at a time and keeps the views that make the best camera.
 
     While views are missing, a view is kept when it tells more than a second look at one that is there would.
-    When there are enough but the camera is not usable yet, a better view takes the place of the one it makes
-    superfluous.
+    When there are enough, a better view takes the place of the one it makes superfluous.
 
     Parameters
     ----------
@@ -275,9 +281,9 @@ class Session:
         self.frames = FrameFilter(self.frames.board, self.frames.criteria)
         self._kept, self._judged, self.image_size = [], None, None
 
-    def _keep(self, views: list[View], size: tuple[int, int]) -> None:
-        self._kept, self.image_size, self._judged = views, size, None
-        if views:
+    def _keep(self, views: list[View], size: tuple[int, int], judged: Calibration | None = None) -> None:
+        self._kept, self.image_size, self._judged = views, size, judged
+        if views and judged is None:
             # The views stay kept even when no camera can be found for them.
             with contextlib.suppress(DegenerateViews):
                 self._judged = calibrate(views, size, "map", self.priors, self.thresholds)
@@ -290,6 +296,9 @@ class Session:
         """Judge a good view by the projection error that would be left with it and without it."""
         if not self._kept:
             return self._capture(detection, size)
+        # A board held still is most of what a camera sees, so that saves most of the time.
+        if any(shift_px(detection.view, view) <= self.frames.criteria.max_motion_px for view in self._kept):
+            return _nothing_new(detection)
         together = [*self._kept, detection.view]
         try:
             trial = calibrate(together, size, "map", self.priors, self.thresholds)
@@ -304,13 +313,16 @@ class Session:
         rival = known.projection_std(np.array(rivals)).min()
         expected = known.projection_std(np.array([chosen]))[0]
         if len(old) not in chosen or expected > self.frames.criteria.max_error_ratio * rival:
-            return Decision(
-                False,
-                "nothing new",
-                "This view tells little that the kept ones do not; tilt the board by 30 deg or more about "
-                "another axis.",
-                detection,
-            )
-        self._keep([together[i] for i in chosen], size)
+            return _nothing_new(detection)
+        self._keep([together[i] for i in chosen], size, None if full else trial)
         message = f"The expected projection error falls from {rival:.2f} to {expected:.2f} px."
         return Decision(True, "replaced" if full else "kept", message, detection)
+
+
+def _nothing_new(detection: Detection) -> Decision:
+    return Decision(
+        False,
+        "nothing new",
+        "This view tells little that the kept ones do not; tilt the board by 30 deg or more about another axis.",
+        detection,
+    )

@@ -89,4 +89,8 @@ def _refine(problem: Adjustment, H: Array, intrinsics: Array) -> Estimate:
         raise DegenerateViews(
             'The closed form puts a board behind the camera; tilt the board more, or use method "map".'
         )
+    if not np.all(found.state.theta[0, :2] > 0):
+        raise DegenerateViews(
+            'The refinement leads to a focal length that is not positive; add a view, or use method "map".'
+        )
     return Estimate(problem, found.state, Stop(int(found.stop[0])))

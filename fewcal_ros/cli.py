@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 from fewcal.boards import parse_board
 from fewcal.calibration import METHODS
@@ -22,6 +25,8 @@ from .recordings import RecordingInfo, recording_info
 from .report import as_json, as_text
 
 USABLE, NOT_USABLE, BAD_INPUT, NO_CALIBRATION = 0, 1, 2, 3
+INTERRUPTED, PIPE_CLOSED = 130, 141
+"""What a shell reports for a command that SIGINT (2) or SIGPIPE (13) ended: 128 and the signal."""
 
 _EXIT_CODES = """
 exit codes:
@@ -59,26 +64,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code, see ``fewcal calibrate --help``.
     """
-    parser = _parser()
     try:
-        options = parser.parse_args(arguments)
-    except SystemExit as stop:  # argparse has printed its help or its complaint
-        return stop.code if isinstance(stop.code, int) else BAD_INPUT
-    try:
+        options = _parser().parse_args(arguments)
         return int(options.run(options))
+    except SystemExit:  # argparse has printed the help
+        return USABLE
     except DegenerateViews as error:
-        return _complain(error, NO_CALIBRATION)
+        return _complain(str(error), NO_CALIBRATION)
     except FewcalError as error:
-        return _complain(error, BAD_INPUT)
-    except BrokenPipeError:  # the reader of our output has closed it; nothing is left to say
-        sys.stderr.close()
-        return BAD_INPUT
+        return _complain(str(error), BAD_INPUT)
     except KeyboardInterrupt:
-        return _complain("Interrupted; nothing was written.", BAD_INPUT)
+        return _complain("Interrupted.", INTERRUPTED)
+    except OSError as error:  # of stdout; those of files are FewcalErrors
+        _discard_output()
+        if isinstance(error, BrokenPipeError):  # its reader has seen enough
+            return PIPE_CLOSED
+        return _complain(f"The output cannot be written: {error.strerror}.", BAD_INPUT)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Complains like the rest of the command: one sentence, without repeating the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InvalidInput(f"{message}; {self.prog} --help says more.")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="fewcal",
         description="Camera calibration from one or two views of a board, with honest error bars.",
     )
@@ -175,21 +187,23 @@ def _calibrate(options: argparse.Namespace) -> int:
         _make_folder(options.out)
     with open_frames(options.sources, options.topic) as reader:
         try:
-            outcome = calibrate_frames(_with_progress(reader), settings)
-        finally:
-            for warning in reader.warnings:
-                print(f"fewcal: {warning}", file=sys.stderr)
-        outcome = _count_unreadable(outcome, reader)
+            with _progress(reader) as frames:
+                outcome = calibrate_frames(frames, settings)
+        except DegenerateViews:  # what is damaged may be why
+            _warn(reader.warnings)
+            raise
+    _warn(reader.warnings)
+    outcome = _count_unreadable(outcome, reader)
     report = as_json(outcome)
     if options.out is not None:
         write_camera_info(options.out / "camera.yaml", outcome.calibration, camera_name=options.camera_name)
         write_atomically(options.out / "calibration.json", report)
     if options.json:
-        print(report, end="")
+        _say(report)
     else:
-        print(as_text(outcome), end="")
+        _say(as_text(outcome))
         if options.out is not None:
-            print(f"Written: {options.out / 'camera.yaml'}, {options.out / 'calibration.json'}")
+            _say(f"Written: {options.out / 'camera.yaml'}, {options.out / 'calibration.json'}\n")
     return USABLE if outcome.calibration.verdict.usable else NOT_USABLE
 
 
@@ -204,26 +218,27 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InvalidInput(f"The folder {folder} cannot be made: {error.strerror}.") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InvalidInput(f"The folder {folder} cannot be written to; choose another or change its mode.")
 
 
-def _with_progress(reader: FrameReader) -> Iterator[Frame]:
+@contextmanager
+def _progress(reader: FrameReader) -> Iterator[Iterable[Frame]]:
     """Show progress on a terminal; elsewhere nothing."""
-    frames: Iterable[Frame] = reader
-    if sys.stderr.isatty():
-        from rich.console import Console  # only a terminal needs it, and it takes its time to import
-        from rich.progress import track
+    if not sys.stderr.isatty():
+        yield reader
+        return
+    from rich.console import Console  # only a terminal needs it, and it takes its time to import
+    from rich.progress import Progress
 
-        frames = track(
-            reader, "Looking for the board", total=reader.total, console=Console(stderr=True), transient=True
-        )
-    yield from frames
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        yield progress.track(reader, total=reader.total, description="Looking for the board")
 
 
 def _info(options: argparse.Namespace) -> int:
     info = recording_info(options.recording)
-    print(_info_text(info), end="")
-    for warning in info.warnings:
-        print(f"fewcal: {warning}", file=sys.stderr)
+    _say(_info_text(info))
+    _warn(info.warnings)
     return USABLE
 
 
@@ -236,9 +251,29 @@ def _info_text(info: RecordingInfo) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _complain(error: Exception | str, code: int) -> int:
-    print(f"fewcal: {error}", file=sys.stderr)
+def _say(text: str) -> None:
+    """Print on stdout, at once: a failure is then met here and not when the interpreter ends."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    # The name of a file may hold what the terminal cannot show.
+    print(text.encode(encoding, "backslashreplace").decode(encoding), end="", flush=True)
+
+
+def _warn(warnings: Iterable[str]) -> None:
+    for warning in warnings:
+        _complain(warning, USABLE)
+
+
+def _complain(sentence: str, code: int) -> int:
+    """Print a sentence on stderr, on one line whatever names it holds."""
+    print("fewcal:", " ".join(sentence.splitlines()), file=sys.stderr)
     return code
+
+
+def _discard_output() -> None:
+    """Send what is still unwritten to nowhere, so that the interpreter does not fail over it at its end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
 
 
 if __name__ == "__main__":

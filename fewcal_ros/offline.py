@@ -10,7 +10,7 @@ from fewcal.boards import Chessboard
 from fewcal.calibration import Calibration, calibrate
 from fewcal.constraints import Priors
 from fewcal.errors import DegenerateViews
-from fewcal.selection import best_subset, information, thin
+from fewcal.selection import CANDIDATES, best_subset, information, thin
 from fewcal.session import FrameFilter, Session, size_of
 from fewcal.verdict import Thresholds, Verdict
 from fewcal.views import View
@@ -77,10 +77,14 @@ def calibrate_frames(frames: Iterable[Frame], settings: Settings) -> Outcome:
     used, asked = len(outcome.calibration.views), settings.views
     if asked is None or used >= asked:
         return outcome
-    verdict = outcome.calibration.verdict
-    reason = f"Only {used} good view{'s were' if used > 1 else ' was'} found, {asked} were asked for."
-    verdict = Verdict(verdict.usable, (*verdict.reasons, reason))
-    return replace(outcome, calibration=replace(outcome.calibration, verdict=verdict))
+    remark = f"Only {used} good view{'s were' if used > 1 else ' was'} found, {asked} were asked for."
+    return replace(outcome, calibration=_with_remark(outcome.calibration, remark))
+
+
+def _with_remark(calibration: Calibration, remark: str) -> Calibration:
+    """Add a sentence to the verdict that does not change whether the camera is usable."""
+    verdict = calibration.verdict
+    return replace(calibration, verdict=Verdict(verdict.usable, (*verdict.reasons, remark)))
 
 
 def _first(frames: Iterable[Frame], settings: Settings, count: int) -> Outcome:
@@ -133,13 +137,19 @@ def _best(frames: Iterable[Frame], settings: Settings) -> Outcome:
     chosen = views if settings.views is None else _choose(views, size, settings, settings.views)
     rejected["not selected"] = len(views) - len(chosen)
     calibration = calibrate(chosen, size, settings.method, settings.priors, settings.thresholds)
+    if in_motion := sum(view in moving.get(size, []) for view in chosen):
+        calibration = _with_remark(
+            calibration,
+            f"{in_motion} of the {len(chosen)} views are of a board in motion, which a rolling shutter "
+            "distorts; hold it still for half a second at each pose.",
+        )
     return Outcome(calibration, look.read, look.with_board, +rejected)
 
 
 def _choose(views: list[View], size: tuple[int, int], settings: Settings, count: int) -> list[View]:
     if len(views) <= count:
         return views
-    candidates = [views[i] for i in thin(views)]
+    candidates = [views[i] for i in thin(views, max(CANDIDATES, count))]
     together = calibrate(candidates, size, "map", settings.priors, settings.thresholds)
     return [candidates[i] for i in best_subset(information(together, settings.priors), count)]
 
@@ -157,6 +167,8 @@ class _Fates:
 
     def no_view(self, board: Chessboard) -> DegenerateViews:
         """Say why no frame gave a view, with the sentence of the commonest reason that showed a board."""
+        if not self._counts:
+            return DegenerateViews("There is no frame to look at; give a recording or images with some.")
         telling = Counter({reason: n for reason, n in self._counts.items() if reason != "no board"})
         reason = (telling or self._counts).most_common(1)[0][0]
         total = self._counts.total()

@@ -1,0 +1,151 @@
+"""From frames to a calibration: which views are chosen, and what is said of the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from board_frames import PERIOD_NS, Image, empty, flat, pair, shown
+from board_pictures import BOARD, CAMERA
+
+from fewcal.boards import Chessboard
+from fewcal.errors import DegenerateViews
+from fewcal.selection import CANDIDATES
+from fewcal.verdict import Thresholds
+from fewcal_ros.messages import Frame
+from fewcal_ros.offline import Outcome, Settings, calibrate_frames
+
+
+def frames_of(images: Sequence[Image], period_ns: int | None = None) -> list[Frame]:
+    """Frames named by their index; without a period they have no stamps, like image files."""
+    return [
+        Frame(image, None if period_ns is None else i * period_ns, "camera", str(i))
+        for i, image in enumerate(images)
+    ]
+
+
+def calibrated(images: Sequence[Image], period_ns: int | None = None, **options: Any) -> Outcome:
+    outcome = calibrate_frames(frames_of(images, period_ns), Settings(BOARD, **options))
+    assert outcome.read == len(outcome.calibration.views) + outcome.rejected.total()
+    assert min(outcome.rejected.values(), default=1) > 0
+    return outcome
+
+
+def used(outcome: Outcome) -> list[int]:
+    return sorted(int(view.source) for view in outcome.calibration.views)
+
+
+def test_best_picks_the_informative_pair() -> None:
+    good = pair()
+    images = [flat(), empty(), good[0], shown(2.0, 50.0), good[1], shown(3.0, seed=1)]
+    outcome = calibrated(images)
+    assert used(outcome) == [2, 4]
+    assert (outcome.read, outcome.with_board) == (6, 5)
+    assert outcome.rejected == {"no board": 1, "not selected": 3}
+    assert outcome.calibration.verdict.usable
+    assert outcome.calibration.verdict.reasons == ()
+    fx, std = outcome.calibration.camera.fx, outcome.calibration.std
+    assert std is not None
+    assert abs(fx - CAMERA.fx) < min(3 * std["fx"], 0.01 * CAMERA.fx)
+
+
+def test_best_single_view_is_a_tilted_one() -> None:
+    assert used(calibrated([flat(), pair()[0], shown(3.0)], views=1)) == [1]
+
+
+def test_first_stops_when_it_has_enough() -> None:
+    looked: list[str] = []
+    images = [empty(), *pair(), shown(30.0), flat()]
+
+    def watched() -> Any:
+        for frame in frames_of(images):
+            looked.append(frame.source)
+            yield frame
+
+    outcome = calibrate_frames(watched(), Settings(BOARD, select="first"))
+    assert used(outcome) == [1, 2]
+    assert looked == ["0", "1", "2"]
+    assert (outcome.read, outcome.with_board, outcome.rejected) == (3, 2, {"no board": 1})
+
+
+def test_first_counts_the_views_it_replaced() -> None:
+    outcome = calibrated([flat(), *pair()], select="first", thresholds=Thresholds(focal_std=0.005))
+    assert used(outcome) == [1, 2]
+    assert outcome.rejected == {"replaced": 1}
+
+
+def test_all_takes_every_good_view() -> None:
+    images = [flat(), empty(), *pair()]
+    for select in ("best", "first"):
+        assert used(calibrated(images, views=None, select=select)) == [0, 2, 3]
+
+
+def test_fewer_than_asked_is_said_in_the_verdict() -> None:
+    outcome = calibrated(pair(), views=3)
+    verdict = outcome.calibration.verdict
+    assert verdict.usable  # two good ones do
+    assert verdict.reasons == ("Only 2 good views were found, 3 were asked for.",)
+    single = calibrated([flat(), empty()]).calibration.verdict
+    assert not single.usable
+    assert single.reasons[-1] == "Only 1 good view was found, 2 were asked for."
+
+
+@pytest.mark.parametrize("count", [CANDIDATES + 1, 10_000])
+def test_many_views_are_used_when_asked_for(count: int) -> None:
+    """However many are asked for, thinning a recording does not stand in the way."""
+    images = [shown(20.0, 10.0, shift_px=5.0 * (i - 22)) for i in range(CANDIDATES + 4)]
+    outcome = calibrated(images, views=count)
+    assert len(outcome.calibration.views) == min(count, len(images))
+
+
+def test_a_board_that_is_never_still_is_better_than_nothing() -> None:
+    """Sharp frames, 6 px apart from each other."""
+    images = [shown(40.0, 10.0, shift_px=6.0 * i) for i in range(3)]
+    images += [shown(40.0, 100.0, shift_px=6.0 * i) for i in range(3)]
+    outcome = calibrated(images, PERIOD_NS)
+    first, second = used(outcome)
+    assert first < 3 <= second
+    assert outcome.rejected == {"not selected": 4}
+    assert outcome.calibration.verdict.usable
+    (reason,) = outcome.calibration.verdict.reasons
+    assert "of the 2 views are of a board in motion" in reason
+
+
+def test_still_views_are_preferred_to_moving_ones() -> None:
+    still = [image for image in pair() for _ in range(2)]
+    images = [shown(60.0, 60.0), *still, shown(60.0, 150.0)]
+    outcome = calibrated(images, PERIOD_NS, views=2)
+    # The first frame of a recording has none before it, and counts as still.
+    assert set(used(outcome)) <= {0, 2, 4}
+    assert outcome.rejected["moving"] == 3
+    assert outcome.calibration.verdict.reasons == ()
+
+
+def test_the_size_with_most_good_views_counts() -> None:
+    small = [image[8:-8] for image in pair()]
+    outcome = calibrated([flat(), *small, empty()])
+    assert outcome.calibration.image_size == (640, 464)
+    assert used(outcome) == [1, 2]
+    assert outcome.rejected == {"other size": 1, "no board": 1}
+
+
+@pytest.mark.parametrize("select", ["best", "first"])
+def test_no_view_names_the_commonest_telling_reason(select: str) -> None:
+    board = Chessboard(9, 6, 0.025)
+    settings = Settings(Chessboard(10, 7, 0.025), select=select)
+    with pytest.raises(DegenerateViews) as caught:
+        calibrate_frames(frames_of([empty()] * 3 + [flat()]), settings)
+    assert str(caught.value).startswith("None of 4 frames shows chessboard:10x7:0.025 well enough. Found 9x6")
+    with pytest.raises(DegenerateViews, match=r"None of 1 frame shows .* No chessboard is to be seen"):
+        calibrate_frames(frames_of([empty()]), Settings(board, select=select))
+    with pytest.raises(DegenerateViews, match="There is no frame"):
+        calibrate_frames([], Settings(board, select=select))
+
+
+def test_the_choice_of_views_does_not_depend_on_the_method() -> None:
+    cameras = [calibrated([flat(), *pair()], method=method).calibration for method in ("map", "zhu2020")]
+    assert [view.source for view in cameras[0].views] == [view.source for view in cameras[1].views]
+    assert cameras[1].camera.fx == pytest.approx(cameras[0].camera.fx, rel=0.01)
+    assert not np.array_equal(cameras[0].camera.intrinsics, cameras[1].camera.intrinsics)

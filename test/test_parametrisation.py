@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scenes import assert_derivative, differences
+
+from fewcal.camera import Camera, project_pixel_model_jacobians
+from fewcal.parametrisation import Parametrisation, PixelModel, ScaleFree
+
+Array = NDArray[np.float64]
+
+FREE = ScaleFree((1280, 960))
+RNG = np.random.default_rng(4)
+SPREAD = np.array([0.3, 0.01, 0.02, 0.02, 0.1, 0.05, 0.002, 0.002])
+THETA = RNG.normal(size=(2, 8)) * SPREAD + [np.log(1100), 0, 0, 0, -0.05, 0.01, 0, 0]
+POINTS = RNG.uniform([-0.4, -0.3, 0.8], [0.4, 0.3, 1.5], (2, 3, 5, 3))
+IN_PIXELS = np.array([1, 1, 1, 1, 1, 1e-7, 1e-13, 1e-5, 1e-5])
+PAPER = RNG.uniform(-1, 1, (2, 9)) * IN_PIXELS * [50, 50, 20, 20, 5, 1, 1, 1, 1] + [
+    *(1100.0, 1120.0, 640.0, 480.0),
+    *np.zeros(5),
+]
+
+
+@given(
+    f=st.floats(200, 9000),
+    aspect=st.floats(0.9, 1.1),
+    centre=st.tuples(st.floats(0, 1280), st.floats(0, 960)),
+    distortion=st.tuples(*[st.floats(-1, 1)] * 4),
+)
+def test_theta_inverts_natural(
+    f: float, aspect: float, centre: tuple[float, float], distortion: tuple[float, ...]
+) -> None:
+    natural = np.array([f, f * aspect, *centre, *distortion])
+    np.testing.assert_allclose(FREE.natural(FREE.theta(natural)), natural, rtol=1e-11, atol=1e-11)
+
+
+def test_the_unknowns_are_what_the_priors_speak_of() -> None:
+    natural = np.array([1000.0, 1010.0, 659.5, 463.5, -0.2, 0.1, 0.001, -0.002])
+    rc = 800 / 1000
+    expected = [np.log(1000), np.log(1.01), 20 / 1600, -16 / 1600]
+    expected += [-0.2 * rc**2, 0.1 * rc**4, 0.001 * rc, -0.002 * rc]
+    np.testing.assert_allclose(FREE.theta(natural), expected, rtol=1e-12)
+
+
+def test_the_unknowns_do_not_depend_on_resolution() -> None:
+    # The centre of the first pixel is (0, 0), so that doubling maps c to 2 (c + 1/2) - 1/2.
+    natural = FREE.natural(THETA)
+    doubled = natural.copy()
+    doubled[:, :2] *= 2
+    doubled[:, 2:4] = 2 * (natural[:, 2:4] + 0.5) - 0.5
+    found = ScaleFree((2560, 1920)).theta(doubled)
+    np.testing.assert_allclose(found[:, 0] - np.log(2), THETA[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(found[:, 1:], THETA[:, 1:], rtol=1e-9, atol=1e-14)
+
+
+def test_natural_jacobian() -> None:
+    numeric = differences(FREE.natural, THETA, 1e-5 * SPREAD)
+    analytic = FREE.natural_jacobian(THETA)
+    # Rows from fx to p2 differ by decades, so that each is held against its own size.
+    size = np.abs(numeric).max(axis=(0, 2), keepdims=True)
+    np.testing.assert_allclose(analytic / size, numeric / size, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("model", "theta", "step"),
+    [
+        (FREE, THETA, 1e-4 * SPREAD),
+        (FREE._replace(in_pixels=True), THETA, 1e-4 * SPREAD),
+        (PixelModel(tangential=True), PAPER, 1e-2 * IN_PIXELS),
+        (PixelModel(tangential=False), PAPER[:, :7], 1e-2 * IN_PIXELS[:7]),
+    ],
+)
+def test_jacobians_of_the_projection(model: Parametrisation, theta: Array, step: Array) -> None:
+    pixels, d_points, d_theta = model.project(POINTS, theta)
+    assert pixels.shape == (2, 3, 5, 2)
+    assert d_theta.shape == (2, 3, 5, 2, model.size)
+    assert_derivative(d_points, differences(lambda at: model.project(at, theta)[0], POINTS, 1e-6))
+
+    def by_theta(at: Array) -> Array:
+        return model.project(POINTS, at)[0]
+
+    assert_derivative(d_theta, differences(by_theta, theta, step))
+
+
+def test_scale_free_projection_is_that_of_the_camera() -> None:
+    pixels = FREE.project(POINTS, THETA)[0]
+    for b, values in enumerate(FREE.natural(THETA)):
+        camera = Camera(*values[:4], np.append(values[4:], 0.0))
+        np.testing.assert_allclose(pixels[b], camera.project(POINTS[b]), rtol=1e-12)
+
+
+def test_scale_free_projection_in_pixels_is_that_of_the_paper() -> None:
+    model = FREE._replace(in_pixels=True)
+    pixels, natural, coefficients = (
+        model.project(POINTS, THETA)[0],
+        model.natural(THETA),
+        model.pixel_coefficients(THETA),
+    )
+    for b in range(2):
+        intrinsics = np.append(natural[b, :4], 0.0)
+        expected = project_pixel_model_jacobians(POINTS[b], intrinsics, coefficients[b]).pixels
+        np.testing.assert_allclose(pixels[b], expected, rtol=1e-12)
+    # For square pixels the two models are one.
+    square = THETA * [1, 0, 1, 1, 1, 1, 1, 1]
+    np.testing.assert_allclose(model.project(POINTS, square)[0], FREE.project(POINTS, square)[0], rtol=1e-12)
+
+
+def test_the_pixel_model_is_the_papers_with_and_without_k3_and_k4() -> None:
+    both, radial = PixelModel(tangential=True), PixelModel(tangential=False)
+    assert (both.size, radial.size) == (9, 7)
+    np.testing.assert_array_equal(both.coefficients(PAPER), PAPER[:, 5:])
+    np.testing.assert_array_equal(radial.coefficients(PAPER[:, :7]), PAPER[:, 5:] * [1, 1, 0, 0])
+    expected = project_pixel_model_jacobians(POINTS[1], PAPER[1, :5], PAPER[1, 5:] * [1, 1, 0, 0]).pixels
+    np.testing.assert_allclose(radial.project(POINTS, PAPER[:, :7])[0][1], expected, rtol=1e-12)

@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scenes import CAMERA, SIZE, differences
+
+from fewcal.adjustment import Rows
+from fewcal.camera import Camera
+from fewcal.posterior import (
+    NAMES,
+    Posterior,
+    camera_rows,
+    covariance_from_rows,
+    determined_share,
+    posterior,
+    projection_std,
+)
+
+Array = NDArray[np.float64]
+
+
+def random_rows(seed: int, views: int = 3, points: int = 12, size: int = 8, priors: int = 8) -> Rows:
+    """Rows of a random problem; units of the unknowns differ by decades."""
+    rng = np.random.default_rng(seed)
+    units, pose_units = 10.0 ** rng.uniform(-3, 3, size), 10.0 ** rng.uniform(-3, 3, 6)
+    return Rows(
+        rng.normal(size=(1, views, 2 * points)),
+        rng.normal(size=(1, views, 2 * points, size)) * units,
+        rng.normal(size=(1, views, 2 * points, 6)) * pose_units,
+        rng.normal(size=(1, priors)),
+        rng.normal(size=(1, priors, size)) * units,
+    )
+
+
+def dense(rows: Rows) -> Array:
+    """Jacobian of everything: the camera's unknowns first, then six for each view."""
+    _, views, count, size = rows.by_camera.shape
+    J = np.zeros((views * count + rows.prior.shape[1], size + 6 * views))
+    for v in range(views):
+        J[v * count : (v + 1) * count, :size] = rows.by_camera[0, v]
+        J[v * count : (v + 1) * count, size + 6 * v : size + 6 * (v + 1)] = rows.by_pose[0, v]
+    J[views * count :, :size] = rows.prior_by_camera[0]
+    return J
+
+
+def inverse(information: Array) -> Array:
+    """Inverse of a symmetric matrix, scaled to a unit diagonal first."""
+    scale = 1 / np.sqrt(np.diagonal(information))
+    return np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale
+
+
+def assert_alike(found: Array, expected: Array, tolerance: float = 1e-8) -> None:
+    """Agreement of two covariances in units of the standard deviations."""
+    scale = 1 / np.sqrt(np.diagonal(expected))
+    np.testing.assert_allclose(found * scale[:, None] * scale, expected * scale[:, None] * scale, atol=tolerance)
+
+
+# --- covariance of rows ------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 10_000))
+def test_covariance_from_rows_inverts_the_information(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    J = rng.normal(size=(20, 5)) * 10.0 ** rng.uniform(-6, 6, 5)
+    assert_alike(covariance_from_rows(J), inverse(J.T @ J))
+
+
+def test_covariance_of_almost_dependent_columns_where_normal_equations_fail() -> None:
+    # Two unknowns whose difference the rows hold by 1e-9 only: J'J is singular in double precision.
+    J = np.array([[1.0, 1.0], [1.0, 1.0 + 1e-9], [1.0, 1.0 - 1e-9]])
+    assert covariance_from_rows(J)[0, 0] == pytest.approx(1 / (2 * 1e-18), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "J",
+    [
+        np.array([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0]]),
+        np.array([[1.0, 2.0], [2.0, 4.0], [-1.0, -2.0]]),
+        np.ones((1, 2)),
+        np.zeros((0, 2)),
+    ],
+)
+def test_what_no_row_holds_is_infinitely_uncertain(J: Array) -> None:
+    assert np.isinf(covariance_from_rows(J)).all()
+
+
+# --- poses eliminated --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_camera_rows_hold_the_schur_complement_of_each_view(seed: int) -> None:
+    rows = random_rows(seed)
+    reduced = camera_rows(rows)
+    assert reduced.shape == (3, 8, 8)
+    for v in range(3):
+        A, P = rows.by_camera[0, v], rows.by_pose[0, v]
+        expected = A.T @ A - A.T @ P @ inverse(P.T @ P) @ P.T @ A
+        assert_alike(reduced[v].T @ reduced[v], expected)
+
+
+@pytest.mark.parametrize("points", [4, 6, 7, 12])
+def test_posterior_is_the_camera_block_of_the_whole_covariance(points: int) -> None:
+    rows = random_rows(5, points=points)
+    J = dense(rows)
+    assert_alike(posterior(rows).covariance, inverse(J.T @ J)[:8, :8], 1e-6)
+
+
+def test_prior_covariance_is_that_of_the_priors_alone_when_they_hold_everything() -> None:
+    rows = random_rows(6)
+    prior = posterior(rows).prior_covariance
+    assert prior is not None
+    K = rows.prior_by_camera[0]
+    assert_alike(prior, inverse(K.T @ K), 1e-6)
+    assert posterior(random_rows(6, priors=3)).prior_covariance is None
+
+
+def test_a_view_that_says_nothing_leaves_the_prior() -> None:
+    rows = random_rows(7)
+    silent = rows._replace(by_camera=np.zeros_like(rows.by_camera), by_pose=np.zeros_like(rows.by_pose))
+    result = posterior(silent)
+    assert result.prior_covariance is not None
+    assert_alike(result.covariance, result.prior_covariance)
+    np.testing.assert_allclose(determined_share(result), 0, atol=1e-9)
+
+
+@given(st.integers(0, 10_000))
+def test_determined_share_lies_between_nothing_and_everything(seed: int) -> None:
+    share = determined_share(posterior(random_rows(seed)))
+    assert share.shape == (8,)
+    assert ((share > 0) & (share <= 1)).all()
+
+
+def test_determined_share_is_the_variance_that_the_data_removed() -> None:
+    result = Posterior(np.diag([1.0, 4.0]), np.diag([4.0, 4.0]))
+    np.testing.assert_allclose(determined_share(result), [0.75, 0])
+    np.testing.assert_array_equal(determined_share(result._replace(prior_covariance=None)), [1, 1])
+
+
+# --- projection error --------------------------------------------------------------------------------------
+
+
+def test_projection_std_is_the_spread_of_projections_of_a_fixed_direction() -> None:
+    pixels = np.array([[0.0, 0.0], [640.0, 470.0], [1279.0, 959.0], [300.0, 900.0]])
+    sd = np.array([10.0, 9.0, 3.0, 4.0, 0.01, 0.02, 0.0004, 0.0003])
+    rng = np.random.default_rng(8)
+    mix = np.eye(8) + 0.3 * rng.normal(size=(8, 8))
+    root = sd[:, None] * mix
+    rays = CAMERA.unproject(pixels)
+
+    def project(values: Array) -> Array:
+        camera = Camera(*values[:4], np.append(values[4:], 0.0))
+        return camera.project(rays)
+
+    at = np.concatenate([CAMERA.intrinsics, CAMERA.distortion[:4]])
+    J = differences(project, at, 1e-4 * sd)
+    spread = J @ root @ root.T @ np.swapaxes(J, -1, -2)
+    expected = np.sqrt(np.linalg.eigvalsh(spread)[:, -1])
+    found = projection_std(CAMERA, root @ root.T, pixels)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_projection_std_of_a_principal_point_alone_is_the_same_everywhere() -> None:
+    covariance = np.zeros((8, 8))
+    covariance[2, 2], covariance[3, 3] = 9.0, 4.0
+    pixels = np.random.default_rng(9).uniform([0, 0], np.array(SIZE) - 1, (20, 2))
+    np.testing.assert_allclose(projection_std(CAMERA, covariance, pixels), 3)
+
+
+def test_projection_std_of_what_is_unknown_and_of_what_has_no_ray() -> None:
+    corner = np.array([[0.0, 0.0], [640.0, 480.0]])
+    assert np.isinf(projection_std(CAMERA, np.full((8, 8), np.inf), corner)).all()
+    folded = Camera(600.0, 600.0, 640.0, 480.0, [-0.4, 0, 0, 0, 0])
+    np.testing.assert_array_equal(np.isnan(projection_std(folded, np.eye(8), corner)), [True, False])
+
+
+def test_names() -> None:
+    assert NAMES == ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")

@@ -1,0 +1,223 @@
+"""Which frames a session keeps, and what it says of the others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from board_frames import PERIOD_NS, Image, empty, flat, pair, shown
+from board_pictures import BOARD, CAMERA
+
+from fewcal.boards import Chessboard
+from fewcal.errors import DegenerateViews, InvalidInput
+from fewcal.session import MOTION_WINDOW_NS, Criteria, Decision, FrameFilter, Session
+from fewcal.verdict import Thresholds
+
+BLURRED = 4.0
+"""Blur, pixels, whose edges of 10 px are too wide to keep but narrow enough to be found."""
+
+
+def fates(frames: list[tuple[Image, int | None]]) -> list[str]:
+    """Reason for each frame, and a check that the counts agree with them."""
+    look = FrameFilter(BOARD)
+    decisions = [look.look(image, stamp_ns) for image, stamp_ns in frames]
+    assert look.read == len(frames)
+    assert look.read == sum(decision.kept for decision in decisions) + look.rejected.total()
+    assert look.with_board == sum(decision.detection is not None for decision in decisions)
+    assert all(decision.kept == (decision.reason == "kept") for decision in decisions)
+    assert all(decision.message.endswith(".") for decision in decisions)
+    return [decision.reason for decision in decisions]
+
+
+def session_of(*images: Image, **options: int) -> tuple[Session, list[Decision]]:
+    session = Session(BOARD, **options)
+    return session, [session.add(image) for image in images]
+
+
+def test_reasons_and_counts() -> None:
+    frames = [empty(), shown(30.0), shown(30.0, blur_px=BLURRED), shown(0.0, shift_px=230.0)]
+    assert fates([(image, None) for image in frames]) == ["no board", "kept", "blurred", "cut off"]
+
+
+def test_another_board_is_named() -> None:
+    look = FrameFilter(Chessboard(10, 7, 0.025))
+    decision = look.look(shown(30.0))
+    assert (decision.reason, look.with_board, look.rejected) == ("wrong size", 0, {"wrong size": 1})
+    assert "Found 9x6 interior corners where 10x7 were asked for" in decision.message
+
+
+def test_blur_is_what_the_criteria_say() -> None:
+    image = shown(30.0, blur_px=BLURRED)
+    assert FrameFilter(BOARD, Criteria(min_sharpness=0.05)).look(image).kept
+    refused = FrameFilter(BOARD).look(image)
+    assert refused.detection is not None
+    assert refused.detection.edge_width_px > 8
+    assert "8.0 px are allowed" in refused.message
+
+
+MOVED_FAR, MOVED_LITTLE = shown(30.0, shift_px=6.0), shown(30.0, shift_px=1.0)
+
+
+@pytest.mark.parametrize(
+    ("moved", "stamps", "second"),
+    [
+        (MOVED_FAR, (0, PERIOD_NS), "moving"),
+        (MOVED_LITTLE, (0, PERIOD_NS), "kept"),
+        (MOVED_FAR, (None, None), "kept"),
+        (MOVED_FAR, (0, None), "kept"),
+        (MOVED_FAR, (None, 0), "kept"),
+        (MOVED_FAR, (0, MOTION_WINDOW_NS), "moving"),
+        (MOVED_FAR, (0, MOTION_WINDOW_NS + 1), "kept"),
+        (MOVED_FAR, (PERIOD_NS, 0), "kept"),  # the recording was started again, or clocks were set
+    ],
+)
+def test_stillness(moved: Image, stamps: tuple[int | None, int | None], second: str) -> None:
+    assert fates([(shown(30.0), stamps[0]), (moved, stamps[1])]) == ["kept", second]
+
+
+def test_a_board_that_has_just_appeared_is_not_yet_still() -> None:
+    frames = [empty(), shown(30.0), shown(30.0)]
+    assert fates([(image, i * PERIOD_NS) for i, image in enumerate(frames)]) == ["no board", "moving", "kept"]
+    assert fates([(image, i * 10**9) for i, image in enumerate(frames)]) == ["no board", "kept", "kept"]
+
+
+def test_motion_is_measured_from_frame_to_frame() -> None:
+    """A slow drift is still, however far it goes: each frame alone is sharp."""
+    frames = [(shown(30.0, shift_px=1.5 * i), i * PERIOD_NS) for i in range(4)]
+    assert fates(frames) == ["kept"] * 4
+    look = FrameFilter(BOARD, Criteria(max_motion_px=1.0))
+    assert [look.look(*frame).reason for frame in frames] == ["kept", "moving", "moving", "moving"]
+
+
+def test_what_is_no_image_is_not_counted() -> None:
+    session = Session(BOARD)
+    for wrong in (np.zeros((480, 640)), np.zeros((0, 3), np.uint8), np.zeros((4, 4, 2), np.uint8), None):
+        with pytest.raises(InvalidInput):
+            session.add(wrong)  # type: ignore[arg-type]
+    assert (session.frames.read, session.frames.rejected.total()) == (0, 0)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 700), (700, 1), (3, 3), (16, 16, 3)])
+def test_a_tiny_image_shows_no_board(shape: tuple[int, ...]) -> None:
+    assert FrameFilter(BOARD).look(np.full(shape, 90, np.uint8)).reason == "no board"
+
+
+@pytest.fixture(scope="module")
+def complete_session() -> Session:
+    session, decisions = session_of(*pair())
+    assert [decision.reason for decision in decisions] == ["kept", "kept"]
+    return session
+
+
+def test_informative_views_are_kept_and_make_the_camera(complete_session: Session) -> None:
+    session = complete_session
+    assert session.complete
+    calibration = session.calibrate()
+    assert calibration.views == session.views
+    assert calibration.verdict.usable
+    assert calibration.camera.fx == pytest.approx(CAMERA.fx, rel=0.01)
+
+
+def test_a_repeat_of_the_same_pose_tells_nothing_new() -> None:
+    session, decisions = session_of(flat(), shown(1.0, seed=1), shown(1.0, shift_px=1.0), shown(1.0, shift_px=5.0))
+    assert [decision.reason for decision in decisions] == ["kept"] + ["nothing new"] * 3
+    assert session.frames.rejected == {"nothing new": 3}
+    assert len(session.views) == 1
+
+
+def test_better_views_take_the_place_of_a_poor_first_one() -> None:
+    session = Session(BOARD, 2, thresholds=Thresholds(focal_std=0.005))
+    for i, image in enumerate((flat(), *pair())):
+        assert not session.complete  # one view is too few, and with the flat one two are not usable
+        session.add(image, source=str(i))
+    assert session.complete
+    assert [view.source for view in session.views] == ["1", "2"]
+    assert session.add(flat()).reason == "nothing new"
+
+
+def test_one_view_gives_way_to_a_better_one() -> None:
+    session, decisions = session_of(flat(), shown(45.0, 30.0), views_required=1)
+    assert [decision.reason for decision in decisions] == ["kept", "replaced"]
+    assert decisions[1].kept
+    assert len(session.views) == 1
+    assert session.calibrate().tilts_deg[0] == pytest.approx(45, abs=2)
+
+
+def test_complete_only_when_usable() -> None:
+    session, _ = session_of(flat(), views_required=1)
+    assert not session.calibrate().verdict.usable
+    assert not session.complete
+
+
+def test_views_of_another_size_are_refused() -> None:
+    session, _ = session_of(flat())
+    cropped = shown(40.0, 10.0)[10:-10]
+    decision = session.add(cropped)
+    assert (decision.kept, decision.reason) == (False, "other size")
+    assert "This image is 640x460, the views kept are 640x480" in decision.message
+    assert session.capture(cropped).reason == "other size"
+    session.remove_last()
+    assert session.add(cropped).kept  # with no view left, any size may begin
+    assert session.image_size == (640, 460)
+
+
+def test_capture_keeps_whatever_it_adds_but_no_bad_view() -> None:
+    session, _ = session_of(flat())
+    assert session.capture(shown(1.0, seed=1)).kept
+    assert session.capture(shown(1.0, seed=2)).message == "View 3 is kept."
+    assert session.capture(empty()).reason == "no board"
+    assert session.capture(shown(30.0, blur_px=BLURRED)).reason == "blurred"
+    assert len(session.views) == 3
+
+
+def test_remove_last_and_reset() -> None:
+    session, _ = session_of(*pair())
+    first = session.views[0]
+    session.remove_last()
+    assert session.views == (first,)
+    assert session.calibrate().views == (first,)
+    session.remove_last()
+    session.remove_last()
+    assert session.views == ()
+    session.add(flat())
+    session.reset()
+    assert (session.views, session.image_size, session.frames.read) == ((), None, 0)
+    assert session.add(pair()[0]).kept
+
+
+def test_nothing_kept_is_an_error_with_a_way_out() -> None:
+    session, _ = session_of(empty())
+    with pytest.raises(DegenerateViews, match="No view has been kept yet; show the board"):
+        session.calibrate()
+
+
+def test_views_survive_every_failure() -> None:
+    session = Session(BOARD, method="zhang")  # which one view does not do for
+    session.add(flat())
+    kept = session.views
+    with pytest.raises(DegenerateViews):
+        session.calibrate()
+    with pytest.raises(InvalidInput):
+        session.add(np.zeros((2, 2)))
+    assert session.views == kept
+
+
+def test_another_method_calibrates_from_the_same_views(complete_session: Session) -> None:
+    other = Session(BOARD, method="zhu2020")
+    for image in pair():
+        other.add(image)
+    assert other.complete
+    assert other.calibrate().method == "zhu2020"
+    same = [view.image_points.tobytes() for view in complete_session.views]
+    assert [view.image_points.tobytes() for view in other.views] == same
+
+
+def test_the_same_frames_give_the_same_camera_bit_by_bit(complete_session: Session) -> None:
+    cameras = [session.calibrate().camera for session in (complete_session, session_of(*pair())[0])]
+    assert cameras[0].intrinsics.tobytes() == cameras[1].intrinsics.tobytes()
+    assert cameras[0].distortion.tobytes() == cameras[1].distortion.tobytes()
+
+
+@pytest.mark.parametrize("count", [0, -1])
+def test_no_fewer_than_one_view(count: int) -> None:
+    with pytest.raises(InvalidInput, match="At least one view"):
+        Session(BOARD, count)

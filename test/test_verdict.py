@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import CAMERA, SIZE, pose
+
+from fewcal.camera import Camera
+from fewcal.verdict import Evidence, Thresholds, Verdict, degeneracies, folds_inside, judge, tilt_deg
+
+Array = NDArray[np.float64]
+
+
+def rotations(*arrangements: tuple[float, ...]) -> Array:
+    """(V, 3, 3) of boards by tilt, axis of the tilt and turn in the board's plane, degrees."""
+    return np.stack([pose(*arrangement)[:3, :3] for arrangement in arrangements])
+
+
+SOUND = Evidence(
+    rotations=rotations((40, 20), (35, 110)),
+    extents=np.array([0.4, 0.5]),
+    camera=CAMERA,
+    image_size=SIZE,
+    focal_std=0.004,
+    conflicts={"focal length": 1.0},
+    converged=True,
+)
+
+CASES: dict[str, tuple[dict[str, object], str]] = {
+    "fronto-parallel": (
+        {"rotations": rotations((2, 0), (3.2, 90))},
+        "Fronto-parallel: the board is within 4 deg of parallel to the image, which says nothing of the focal "
+        "length; tilt it by 30 deg or more.",
+    ),
+    "parallel": (
+        {"rotations": rotations((30, 0), (32.5, 0))},
+        "Parallel planes: the boards are parallel within 3 deg, so the 2 views count as one; tilt the board "
+        "by 30 deg about another axis.",
+    ),
+    "turned": (
+        {"rotations": rotations((30, 0), (30, 0, 70), (30, 0, 20))},
+        "Turn about the normal: the board was only turned in its own plane within 1 deg, so the 3 views count "
+        "as one; tilt the board by 30 deg about another axis.",
+    ),
+    "small": (
+        {"extents": np.array([0.08, 0.123])},
+        "Board too small in the image: it spans 12 % of the diagonal; bring it nearer, so that it spans a "
+        "third or more.",
+    ),
+    "no error bars": (
+        {"focal_std": None},
+        'The method "zhang" has no error bars, so nothing says how well the camera is known; use "map".',
+    ),
+    "focal length": (
+        {"focal_std": 0.0312},
+        "The focal length is known to 3.1 % only, 2 % is asked; add a view with the board tilted by 30 to 60 "
+        "deg about another axis.",
+    ),
+    "conflict": (
+        {"conflicts": {"aspect ratio": 4.44, "focal length": 2.9}},
+        "The aspect ratio contradicts what is known of cameras by 4.4 standard deviations; check that board "
+        "and square size are right and the image is neither cropped nor scaled, add views, or state other "
+        "priors.",
+    ),
+    "fold": (
+        {"camera": Camera(600.0, 600.0, 639.5, 479.5, [-0.4, 0, 0, 0, 0])},
+        "The distortion model folds over 365 px from the principal point, inside the image; add a view with "
+        "the board near the corners of the image.",
+    ),
+    "iterations": ({"converged": False}, "The optimisation did not converge; add a view."),
+}
+
+
+def test_a_sound_calibration_is_usable() -> None:
+    assert judge(SOUND) == Verdict(True, ())
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_reason_is_given_in_its_own_case_and_no_other(case: str) -> None:
+    changes, sentence = CASES[case]
+    assert judge(replace(SOUND, **changes)) == Verdict(False, (sentence,))  # type: ignore[arg-type]
+
+
+def test_reasons_add_up() -> None:
+    changes = {**CASES["small"][0], **CASES["focal length"][0], **CASES["iterations"][0]}
+    verdict = judge(replace(SOUND, **changes))  # type: ignore[arg-type]
+    assert verdict.reasons == tuple(CASES[case][1] for case in ("small", "focal length", "iterations"))
+
+
+@pytest.mark.parametrize(
+    ("arrangement", "extents"),
+    [
+        (((40, 20),), (0.4,)),
+        (((6, 0),), (0.16,)),
+        (((0, 0), (30, 0)), (0.05, 0.3)),
+        (((30, 0), (30, 90)), (0.3, 0.3)),
+        (((30, 0), (36, 0)), (0.3, 0.3)),
+        (((30, 0), (-30, 0)), (0.3, 0.3)),
+        (((30, 0), (30, 0), (30, 40)), (0.3, 0.3, 0.3)),
+    ],
+)
+def test_sound_arrangements(arrangement: tuple[tuple[float, ...], ...], extents: tuple[float, ...]) -> None:
+    assert list(degeneracies(rotations(*arrangement), np.array(extents))) == []
+
+
+def test_half_a_turn_is_the_ambiguity_of_the_board_and_no_motion() -> None:
+    (reason,) = degeneracies(rotations((30, 0), (30, 0, 179)), np.array([0.3, 0.3]))
+    assert reason.startswith("Parallel planes")
+
+
+@pytest.mark.parametrize(
+    ("case", "thresholds"),
+    [
+        ("fronto-parallel", Thresholds(tilt_deg=1.0, plane_angle_deg=1.0)),
+        ("parallel", Thresholds(plane_angle_deg=2.0)),
+        ("small", Thresholds(board_extent=0.1)),
+        ("focal length", Thresholds(focal_std=0.05)),
+        ("conflict", Thresholds(conflict=5.0)),
+    ],
+)
+def test_thresholds_can_be_changed(case: str, thresholds: Thresholds) -> None:
+    evidence = replace(SOUND, **CASES[case][0])  # type: ignore[arg-type]
+    assert not judge(evidence).usable
+    assert judge(evidence, thresholds) == Verdict(True, ())
+
+
+def test_thresholds_can_be_tightened() -> None:
+    verdict = judge(SOUND, Thresholds(focal_std=0.001))
+    assert "known to 0.4 % only, 0.1 % is asked" in verdict.reasons[0]
+    assert "Board too small" in judge(SOUND, Thresholds(board_extent=0.6)).reasons[0]
+    assert "Fronto-parallel" in judge(SOUND, Thresholds(tilt_deg=45)).reasons[0]
+    assert "contradicts" in judge(SOUND, Thresholds(conflict=0.5)).reasons[0]
+
+
+def test_tilt_is_the_angle_to_the_image_plane_from_either_side() -> None:
+    found = tilt_deg(rotations((0, 0), (25, 70), (60, -130, 40), (160, 10)))
+    np.testing.assert_allclose(found, [0, 25, 60, 20], atol=1e-6)
+
+
+def test_folds_inside() -> None:
+    assert not folds_inside(CAMERA, SIZE)
+    lens = Camera(600.0, 600.0, 639.5, 479.5, [-0.4, 0, 0, 0, 0])
+    assert folds_inside(lens, SIZE)
+    small = Camera(600.0, 600.0, 199.5, 149.5, [-0.4, 0, 0, 0, 0])
+    assert not folds_inside(small, (400, 300)), "365 px reach beyond these corners"

@@ -26,7 +26,10 @@ from fewcal.adjustment import rotation_from_vector
 Array = NDArray[np.float64]
 
 EXPERT = (
-    cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
+    cv2.CALIB_FIX_ASPECT_RATIO
+    | cv2.CALIB_FIX_PRINCIPAL_POINT
+    | cv2.CALIB_ZERO_TANGENT_DIST
+    | cv2.CALIB_FIX_K3
 )
 GROSS = 0.10
 GRID = 15
@@ -99,7 +102,8 @@ def projection_error(camera: fewcal.Camera, truth: fewcal.Camera, size: tuple[in
         error = camera.project(rays @ R.T) - pixels
         steps = 1e-6 * np.eye(3)
         J = np.stack(
-            [(camera.project(rays @ (rotation_from_vector(s) @ R).T) - pixels - error) / 1e-6 for s in steps], -1
+            [(camera.project(rays @ (rotation_from_vector(s) @ R).T) - pixels - error) / 1e-6 for s in steps],
+            -1,
         )
         J, target = J.reshape(-1, 3), -error.ravel()
         seen = np.isfinite(target) & np.isfinite(J).all(axis=1)

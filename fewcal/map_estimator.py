@@ -74,7 +74,7 @@ def estimate_map(views: ViewStack, image_size: tuple[int, int], priors: Priors) 
         When no start leads to a camera with the board in front of it.
     """
     found = _estimate(views, ScaleFree(image_size), priors)
-    if found.lowest_sigma < _total_sigma(np.array(COMPUTED_PX)):
+    if found.lowest_scatter < COMPUTED_PX:
         # Points this exact were computed, perhaps with the paper's camera, whose distortion acts on pixels.
         in_pixels = _estimate(views, ScaleFree(image_size, in_pixels=True), priors)
         if in_pixels.objective < found.objective:
@@ -83,11 +83,11 @@ def estimate_map(views: ViewStack, image_size: tuple[int, int], priors: Priors) 
 
 
 class _Found(NamedTuple):
-    """The best minimum, its objective, and the smallest noise of all minima followed."""
+    """The best minimum, its objective, and the scatter that is left when the data are taken at their word."""
 
     estimate: Estimate
     objective: float
-    lowest_sigma: float
+    lowest_scatter: float
 
 
 def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
@@ -106,6 +106,7 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
     sigma[len(sigma) // 2 :] = TRUSTING_PX
     problem = replace(problem, sigma=sigma)
     found = minimise(problem, state, _ROUND)
+    lowest = float(_scatter(problem, found.state, priors).min())
     for _ in range(ROUNDS):
         sigma = point_sigma(problem, found.state, priors)
         change = np.abs(np.log(sigma / problem.sigma)).max()
@@ -113,7 +114,6 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
         found = minimise(problem, found.state, _ROUND)
         if change < SCATTER_TOLERANCE:
             break
-    lowest = float(problem.sigma.min())
     state, objective = _best(problem, found.state, found.cost, priors, 1)
     problem = problem.take(np.arange(1))
     problem = replace(problem, sigma=point_sigma(problem, state, priors))

@@ -73,8 +73,8 @@ class Conditions:
     blur_px : float
         Gaussian blur of the lens, one sigma, pixels.
     motion_px, motion_deg : float
-        Length (pixels) of the way the image moves during the exposure, and its direction from the u axis
-        towards v, degrees. The pose holds at mid-exposure.
+        Length (pixels) of the way the whole image moves during the exposure, as when the camera is shaken,
+        and its direction from the u axis towards v, degrees. The pose holds at mid-exposure.
     exposure : float
         Share of the grey scale at which full reflectance in full light arrives.
     black_level : float
@@ -141,8 +141,9 @@ def render(
         Width and height, pixels.
     board : Chessboard, optional
         None for an image without a board.
-    T_camera_board : array_like, (4, 4), optional
-        Pose that maps board coordinates into the camera frame; None for an image without a board.
+    T_camera_board : array_like, (4, 4) or (K, 4, 4), optional
+        Pose that maps board coordinates into the camera frame, or several at even times during the exposure:
+        a board that moves before a scene at rest. None for an image without a board.
     conditions : Conditions, optional
         Blur, motion, light, noise.
     background : array_like, (H, W), optional
@@ -166,7 +167,12 @@ def render(
         if scene.shape != (height, width):
             raise InvalidInput(f"background must have shape {(height, width)}, not {scene.shape}.")
     if board is not None and T_camera_board is not None:
-        _paint(scene, _board_coordinates(camera, (width, height), board, T_camera_board), board)
+        poses = np.asarray(T_camera_board, dtype=np.float64)
+        if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4) or not np.isfinite(poses).all():
+            raise InvalidInput(
+                "T_camera_board must be finite, of shape (4, 4), or (K, 4, 4) for a moving board."
+            )
+        scene = _painted(scene, camera, board, poses.reshape(-1, 4, 4))
     return _expose(scene, conditions, rng if rng is not None else np.random.default_rng(0))
 
 
@@ -204,13 +210,18 @@ def clutter(image_size: tuple[int, int], rng: np.random.Generator, pieces: int =
     return np.clip(blurred, 0, 1).astype(np.float32)
 
 
-def _board_coordinates(
-    camera: Projector, image_size: tuple[int, int], board: Chessboard, T_camera_board: ArrayLike
-) -> Array:
+def _painted(scene: Floats, camera: Projector, board: Chessboard, poses: Array) -> Floats:
+    """Mean of the scenes (H, W) with the board at each of the poses (K, 4, 4)."""
+    total = np.zeros_like(scene)
+    for T in poses:
+        exposed = scene.copy()
+        _paint(exposed, _board_coordinates(camera, scene.shape[::-1], board, T), board)
+        total += exposed
+    return total / np.float32(len(poses))
+
+
+def _board_coordinates(camera: Projector, image_size: tuple[int, ...], board: Chessboard, T: Array) -> Array:
     """Where each pixel's ray meets the board: (H, W, 2) in squares from the first corner, NaN for nowhere."""
-    T = np.asarray(T_camera_board, dtype=np.float64)
-    if T.shape != (4, 4) or not np.isfinite(T).all():
-        raise InvalidInput("T_camera_board must be a finite array of shape (4, 4).")
     plane = T[:3, [0, 1, 3]].copy()
     plane[:, :2] *= board.square_size
     # det [r1 r2 t] = t . (r1 x r2) is positive when the camera sees the printed side.
@@ -225,7 +236,7 @@ def _board_coordinates(
 
 
 @lru_cache(maxsize=4)
-def _rays(camera: Projector, image_size: tuple[int, int]) -> Array:
+def _rays(camera: Projector, image_size: tuple[int, ...]) -> Array:
     """(2, H, W) x / z and y / z of each pixel, NaN where the model has no ray."""
     width, height = image_size
     v, u = (np.linspace(0, n - 1, max(5, math.ceil((n - 1) / _RAY_GRID_PX) + 1)) for n in (height, width))

@@ -323,6 +323,7 @@ def _nothing_new(detection: Detection) -> Decision:
     return Decision(
         False,
         "nothing new",
-        "This view tells little that the kept ones do not; tilt the board by 30 deg or more about another axis.",
+        "This view tells little that the kept ones do not; "
+        "tilt the board by 30 deg or more about another axis.",
         detection,
     )

@@ -107,8 +107,8 @@ def degeneracies(rotations: Array, extents: Array, thresholds: Thresholds = Thre
     tilts = tilt_deg(rotations)
     if np.all(tilts < thresholds.tilt_deg):
         yield (
-            f"Fronto-parallel: the board is within {_up(tilts.max())} deg of parallel to the image, which says "
-            "nothing of the focal length; tilt it by 30 deg or more."
+            f"Fronto-parallel: the board is within {_up(tilts.max())} deg of parallel to the image, which "
+            "says nothing of the focal length; tilt it by 30 deg or more."
         )
     elif len(rotations) > 1:
         yield from _parallel(rotations, thresholds)
@@ -141,8 +141,9 @@ def _doubts(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
     if evidence.focal_std is None:
         yield 'The method "zhang" has no error bars, so nothing says how well the camera is known; use "map".'
     elif evidence.focal_std > thresholds.focal_std:
+        known = f"known to {100 * evidence.focal_std:.2g} % only"
         yield (
-            f"The focal length is known to {100 * evidence.focal_std:.2g} % only, "
+            f"The focal length is {known if np.isfinite(evidence.focal_std) else 'not determined'}, "
             f"{100 * thresholds.focal_std:.2g} % is asked; add a view with the board tilted by 30 to 60 deg "
             "about another axis."
         )
@@ -154,9 +155,12 @@ def _doubts(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
                 "views, or state other priors."
             )
     if folds_inside(evidence.camera, evidence.image_size):
+        radius = evidence.camera.fold_radius_px
+        # Tangential distortion alone folds without a radius.
+        where = f" {radius:.0f} px from the principal point," if np.isfinite(radius) else ""
         yield (
-            f"The distortion model folds over {evidence.camera.fold_radius_px:.0f} px from the principal "
-            "point, inside the image; add a view with the board near the corners of the image."
+            f"The distortion model folds over{where} inside the image; add a view with the board near the "
+            "corners of the image."
         )
     if not evidence.converged:
         yield "The optimisation did not converge; add a view."
@@ -173,8 +177,8 @@ def _parallel(rotations: Array, thresholds: Thresholds) -> Iterator[str]:
     turned = np.abs((turns + 90) % 180 - 90).max() >= thresholds.plane_angle_deg
     name = "Turn about the normal: the board was only turned in its own plane"
     yield (
-        f"{name if turned else 'Parallel planes: the boards are parallel'} within {_up(angles.max())} deg, so "
-        f"the {len(rotations)} views count as one; tilt the board by 30 deg about another axis."
+        f"{name if turned else 'Parallel planes: the boards are parallel'} within {_up(angles.max())} deg, "
+        f"so the {len(rotations)} views count as one; tilt the board by 30 deg about another axis."
     )
 
 

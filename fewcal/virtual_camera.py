@@ -4,8 +4,8 @@ The paper gives the camera, the boards and the shooting angles, but neither the 
 place of the board. Here they follow a rule, so that every trial is the same on every machine:
 
 - Place. "The displacement which arises from the radial distortion is up to 35.67 pixels": with the paper's
-  coefficients that is 573 px from the middle of the image, 95.5 % of half its side. So the board comes as near
-  as it can with every point inside that circle. (Filling the square image instead would displace the
+  coefficients that is 572 px from the middle of the image, 95.5 % of half its side. So the board comes as
+  near as it can with every point inside that circle. (Filling the square image instead would displace the
   corners of a square board by more than twice as much.)
 - Direction. The tilt axis turns by the golden angle from trial to trial, counted row by row over the 27 x 50
   trials. No direction is preferred, and none is special: a board tilted exactly about one of its own axes
@@ -41,19 +41,19 @@ PAPER_REFERENCE_TILT_DEG = 1.2
 """Shooting angle of the first of two views (section 5.1.3)."""
 PAPER_SQUARE_SIZE = 0.03
 """Metres. The paper names none; only the translations scale with it."""
-PAPER_REACH = 0.955
+PAPER_REACH = 0.9546
 """Radius of the outermost point over half the image's side, at which the displacement is 35.67 px."""
 FIGURE_12_REACH = 0.8
 """The same for figure 12, whose distortion folds over at 0.87."""
 GOLDEN_ANGLE_DEG = 180 * (3 - math.sqrt(5))
 """Multiples of it fall evenly on the circle, whatever their number."""
 
-_CENTRING_STEPS = 4
-"""Each leaves a few per cent of the offset of the image's middle, so that 4 leave less than 1e-2 px."""
+_CENTRING_STEPS = 6
+"""Each leaves a few per cent, at most a third, of the offset of the middle: together less than 0.1 px."""
 _NEAREST, _FARTHEST = 0.05, 500.0
 """Distances looked at, in extents of the board: from a fish-eye to 20 times a telephoto lens."""
-_SECTIONS = (200, 24, 24, 24, 24, 24, 24)
-"""The distance is bracketed first in steps of 5 %, so as not to step over a fold, then to 1e-10 of itself."""
+_SECTIONS, _ROUNDS = 24, 8
+"""The distance is bracketed in 23 parts, 8 times over, to 1e-10 of itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,8 +216,12 @@ def fill_image(
 
     Returns
     -------
-    (4, 4) T_camera_board. The middle of the image of the board is at the middle of the image; where the
-    distortion folds over inside the region, the board ends before the fold.
+    (4, 4) T_camera_board. The middle of the image of the board is at the middle of the image.
+
+    Raises
+    ------
+    InvalidInput
+        When the distortion folds over inside the region.
     """
     if outline not in ("frame", "circle"):
         raise InvalidInput(f'outline is "frame" or "circle", not {outline!r}.')
@@ -234,6 +238,10 @@ def fill_image(
     T = np.eye(4)
     T[:3, :3] = rotation
     T[:3, 3] = distance * slope - rotation @ middle
+    seen = turned + distance * slope
+    back = camera.unproject(camera.project(seen), folded="nan")
+    if not np.allclose(np.cross(back, seen), 0, atol=1e-6 * distance):
+        raise InvalidInput("The distortion folds over inside the region; choose a smaller reach.")
     return T
 
 
@@ -313,15 +321,12 @@ def _nearest(
 ) -> float:
     """Smallest distance along a slope from which on outwards every point is inside the region."""
     near, far = _NEAREST * extent, _FARTHEST * extent
-    for sections in _SECTIONS:
-        distances = np.geomspace(far, near, sections)
+    for _ in range(_ROUNDS):
+        distances = np.geomspace(far, near, _SECTIONS)
         pixels = camera.project(turned + distances[:, None, None] * slope)
         offset = np.abs(pixels - half) / (half.min() if circle else half)
         size = np.linalg.norm(offset, axis=-1) if circle else offset.max(axis=-1)
-        outermost = size.max(axis=-1)
-        # Coming nearer, the image grows; where it shrinks the distortion has folded over. NaN is behind us.
-        grows = np.append(True, np.diff(outermost) > 0)
-        inside = (outermost <= reach) & grows
+        inside = size.max(axis=-1) <= reach  # a point behind the camera is NaN, and so not inside
         if inside.all():
             return float(near)
         first = max(int(np.argmin(inside)), 1)

@@ -65,10 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code, see ``fewcal calibrate --help``.
     """
     try:
-        options = _parser().parse_args(arguments)
-        return int(options.run(options))
-    except SystemExit:  # argparse has printed the help
-        return USABLE
+        return _run(arguments)
     except DegenerateViews as error:
         return _complain(str(error), NO_CALIBRATION)
     except FewcalError as error:
@@ -80,6 +77,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, BrokenPipeError):  # its reader has seen enough
             return PIPE_CLOSED
         return _complain(f"The output cannot be written: {error.strerror}.", BAD_INPUT)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    try:
+        options = _parser().parse_args(arguments)
+    except SystemExit:  # argparse has printed the help
+        _say("")
+        return USABLE
+    return int(options.run(options))
 
 
 class _Parser(argparse.ArgumentParser):

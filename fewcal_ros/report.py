@@ -68,14 +68,16 @@ def as_text(outcome: Outcome) -> str:
         f"Camera {width}x{height}, plumb_bob, from {len(calibration.views)} of {outcome.read} frames "
         f"({calibration.method})",
     ]
-    std = calibration.std
+    std = calibration.std or {}
     values = dict(zip(("fx", "fy", "cx", "cy"), camera.intrinsics.tolist(), strict=True))
     values |= dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion.tolist(), strict=True))
     for name, value in values.items():
         digits, unit = (2, "px") if name in ("fx", "fy", "cx", "cy") else (5, "  ")
-        error = f" +- {std[name]:.{digits}f}" if std and name in std else ""
-        lines.append(f"  {name}  {value:12.{digits}f} {unit}{error}")
-    if calibration.focal_std is not None:
+        error = ""
+        if name in std:
+            error = f"+- {std[name]:.{digits}f}" if math.isfinite(std[name]) else "undetermined"
+        lines.append(f"  {name}  {value:12.{digits}f} {unit} {error}".rstrip())
+    if calibration.focal_std is not None and math.isfinite(calibration.focal_std):
         lines.append(f"The focal length is known to {100 * calibration.focal_std:.2g} % (one sigma).")
     lines.append(
         f"RMS reprojection error {calibration.rms:.3f} px, which says little about the camera itself."

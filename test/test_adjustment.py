@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from fewcal.adjustment import Adjustment, Geometry, rotation_from_vector
 from fewcal.boards import Chessboard
 from fewcal.constraints import Priors
-from fewcal.parametrisation import Parametrisation, PixelModel, ScaleFree
+from fewcal.parametrisation import PixelModel, ScaleFree
 from fewcal.views import View, stack_views
 
 Array = NDArray[np.float64]

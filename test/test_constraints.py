@@ -82,7 +82,9 @@ def at_offset(prior: RadialPrior, log_focal: Array, w: Array) -> Array:
 
 @pytest.mark.parametrize("size", [0.0, 1e-7, 1e-4, 1e-3, 2e-3, 0.1, 1.0, 5.0, 300.0])
 @pytest.mark.parametrize("x", [-3.0, -1.01, -0.99, 0.0, 0.5, 0.99, 1.01, 3.0])
-def test_jacobian_of_the_radial_rows_on_both_sides_of_the_clip_and_near_the_mean(size: float, x: float) -> None:
+def test_jacobian_of_the_radial_rows_on_both_sides_of_the_clip_and_near_the_mean(
+    size: float, x: float
+) -> None:
     prior = RadialPrior()
     angle = np.linspace(0.1, 2 * np.pi, 7)
     w = size * np.stack([np.cos(angle), np.sin(angle)], axis=1)

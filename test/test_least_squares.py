@@ -112,7 +112,9 @@ def test_the_start_is_left_as_it_was() -> None:
 # --- why it ends -------------------------------------------------------------------------------------------
 
 
-def ends(rows: Callable[[Array], tuple[Array, Array]], x: list[float], **tolerances: float) -> Minimum[Unknowns]:
+def ends(
+    rows: Callable[[Array], tuple[Array, Array]], x: list[float], **tolerances: float
+) -> Minimum[Unknowns]:
     none = {"gradient": 0.0, "step": 0.0, "cost": 0.0}
     return minimise(Curve(rows), Unknowns(np.array([x])), Tolerances(**{**none, **tolerances}))  # type: ignore[arg-type]
 
@@ -239,7 +241,8 @@ def test_agreement_with_scipy_on_a_reprojection_problem() -> None:
     model, priors = ScaleFree(SIZE), Priors()
     problem = Adjustment(views, model, lambda theta: priors.rows(theta, max(SIZE)), np.array([0.3]))
     theta = model.theta(np.concatenate([CAMERA.intrinsics, CAMERA.distortion[:4]]))[None]
-    start = Geometry(theta + [0.05, 0.002, 0.01, -0.01, 0.02, 0.01, 0, 0], *geometry(board_poses))
+    off = np.array([0.05, 0.002, 0.01, -0.01, 0.02, 0.01, 0, 0])
+    start = Geometry(theta + off, *geometry(board_poses))
 
     def at(x: Array) -> Geometry:
         return problem.retract(start, x[None, :8], x[8:].reshape(1, 2, 6))

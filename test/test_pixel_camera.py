@@ -12,7 +12,10 @@ Array = NDArray[np.float64]
 
 SQUARE = Camera(1200.0, 1200.0, 650.0, 470.0, [-0.2, 0.08, 0.001, -0.002, 0.0])
 RAYS = np.concatenate(
-    [np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 15), np.linspace(-0.4, 0.4, 11)), axis=-1), np.ones((11, 15, 1))],
+    [
+        np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 15), np.linspace(-0.4, 0.4, 11)), axis=-1),
+        np.ones((11, 15, 1)),
+    ],
     axis=-1,
 ).reshape(-1, 3)
 IN_PIXELS = np.array([1, 1, 1, 1, 1, 1e-7, 1e-13, 1e-5, 1e-5])
@@ -57,7 +60,7 @@ def test_otherwise_nearest_plumb_bob_projects_more_alike_than_the_relation_does(
 
 def test_skew_has_no_counterpart_and_does_not_disturb_the_rest() -> None:
     straight = nearest_plumb_bob(PAPER[:5], PAPER[5:], SIZE)
-    skewed = nearest_plumb_bob(PAPER[:5] + [0, 0, 0, 0, 3.0], PAPER[5:], SIZE)
+    skewed = nearest_plumb_bob(PAPER[:5] + 3.0 * np.eye(5)[4], PAPER[5:], SIZE)
     np.testing.assert_array_equal(skewed.intrinsics, straight.intrinsics)
     offset = np.abs(skewed.project(RAYS) - straight.project(RAYS)).max()
     assert 0 < offset < 3.0 * 0.5 + 1

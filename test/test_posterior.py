@@ -55,7 +55,9 @@ def inverse(information: Array) -> Array:
 def assert_alike(found: Array, expected: Array, tolerance: float = 1e-8) -> None:
     """Agreement of two covariances in units of the standard deviations."""
     scale = 1 / np.sqrt(np.diagonal(expected))
-    np.testing.assert_allclose(found * scale[:, None] * scale, expected * scale[:, None] * scale, atol=tolerance)
+    np.testing.assert_allclose(
+        found * scale[:, None] * scale, expected * scale[:, None] * scale, atol=tolerance
+    )
 
 
 # --- covariance of rows ------------------------------------------------------------------------------------

@@ -118,7 +118,9 @@ def test_informative_views_are_kept_and_make_the_camera(complete_session: Sessio
 
 
 def test_a_repeat_of_the_same_pose_tells_nothing_new() -> None:
-    session, decisions = session_of(flat(), shown(1.0, seed=1), shown(1.0, shift_px=1.0), shown(1.0, shift_px=5.0))
+    session, decisions = session_of(
+        flat(), shown(1.0, seed=1), shown(1.0, shift_px=1.0), shown(1.0, shift_px=5.0)
+    )
     assert [decision.reason for decision in decisions] == ["kept"] + ["nothing new"] * 3
     assert session.frames.rejected == {"nothing new": 3}
     assert len(session.views) == 1

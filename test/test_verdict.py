@@ -31,8 +31,8 @@ SOUND = Evidence(
 CASES: dict[str, tuple[dict[str, object], str]] = {
     "fronto-parallel": (
         {"rotations": rotations((2, 0), (3.2, 90))},
-        "Fronto-parallel: the board is within 4 deg of parallel to the image, which says nothing of the focal "
-        "length; tilt it by 30 deg or more.",
+        "Fronto-parallel: the board is within 4 deg of parallel to the image, which says nothing of the "
+        "focal length; tilt it by 30 deg or more.",
     ),
     "parallel": (
         {"rotations": rotations((30, 0), (32.5, 0))},
@@ -41,8 +41,8 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
     ),
     "turned": (
         {"rotations": rotations((30, 0), (30, 0, 70), (30, 0, 20))},
-        "Turn about the normal: the board was only turned in its own plane within 1 deg, so the 3 views count "
-        "as one; tilt the board by 30 deg about another axis.",
+        "Turn about the normal: the board was only turned in its own plane within 1 deg, so the 3 views "
+        "count as one; tilt the board by 30 deg about another axis.",
     ),
     "small": (
         {"extents": np.array([0.08, 0.123])},
@@ -58,6 +58,11 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
         "The focal length is known to 3.1 % only, 2 % is asked; add a view with the board tilted by 30 to 60 "
         "deg about another axis.",
     ),
+    "no focal length": (
+        {"focal_std": float("inf")},
+        "The focal length is not determined, 2 % is asked; add a view with the board tilted by 30 to 60 deg "
+        "about another axis.",
+    ),
     "conflict": (
         {"conflicts": {"aspect ratio": 4.44, "focal length": 2.9}},
         "The aspect ratio contradicts what is known of cameras by 4.4 standard deviations; check that board "
@@ -68,6 +73,11 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
         {"camera": Camera(600.0, 600.0, 639.5, 479.5, [-0.4, 0, 0, 0, 0])},
         "The distortion model folds over 365 px from the principal point, inside the image; add a view with "
         "the board near the corners of the image.",
+    ),
+    "fold without a radius": (
+        {"camera": Camera(600.0, 600.0, 639.5, 479.5, [0, 0, 0.2, 0, 0])},
+        "The distortion model folds over inside the image; add a view with the board near the corners of the "
+        "image.",
     ),
     "iterations": ({"converged": False}, "The optimisation did not converge; add a view."),
 }

@@ -22,7 +22,9 @@ RADIAL = Camera(1100.0, 1100.0, 650.0, 470.0, [-0.12, 0.03, 0.0, 0.0, 0.0])
 TWO, THREE = ((40, 30), (35, 120)), ((40, 30), (35, 120), (30, -60))
 
 
-def paper_views(intrinsics: list[float], coefficients: list[float], *tilts: tuple[float, float]) -> list[View]:
+def paper_views(
+    intrinsics: list[float], coefficients: list[float], *tilts: tuple[float, float]
+) -> list[View]:
     """Exact views of the paper's camera: fx, fy, u0, v0, s and distortion in pixels."""
     board = Chessboard(9, 6, 0.025)
     views = []
@@ -97,7 +99,11 @@ SQUARE_TARGET = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
             "gives f\\^2 = -.*tilt the board by 30 deg",
         ),
         ([[122, 649], [473, 279], [437, 801], [841, 322]], DegenerateViews, "puts a board behind the camera"),
-        ([[99, 267], [460, 447], [219, 743], [390, 761]], DegenerateViews, "focal length that is not positive"),
+        (
+            [[99, 267], [460, 447], [219, 743], [390, 761]],
+            DegenerateViews,
+            "focal length that is not positive",
+        ),
     ],
 )
 def test_what_the_papers_method_cannot_do_has_a_name(

@@ -1,0 +1,379 @@
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scenes import BOARD, CAMERA, SIZE, noisy, pose, view, views_at
+
+from fewcal.boards import Chessboard
+from fewcal.calibration import Calibration, calibrate
+from fewcal.camera import Camera, project_pixel_model_jacobians
+from fewcal.constraints import Priors
+from fewcal.errors import InvalidInput
+from fewcal.posterior import NAMES
+from fewcal.verdict import Thresholds
+from fewcal.views import View
+
+Array = NDArray[np.float64]
+
+FIVE = ((40, 30), (35, 120), (30, -60), (20, 80), (45, 200))
+SQUARE = Camera(1100.0, 1100.0, 650.0, 470.0, [-0.12, 0.03, 0.0006, -0.0004, 0.0])
+RADIAL = Camera(1100.0, 1100.0, 650.0, 470.0, [-0.12, 0.03, 0.0, 0.0, 0.0])
+few = settings(max_examples=3, derandomize=True)
+"""Each example is two calibrations."""
+
+
+def parameters(camera: Camera) -> Array:
+    return np.concatenate([camera.intrinsics, camera.distortion])
+
+
+def assert_recovered(found: Calibration, camera: Camera, poses: list[Array]) -> None:
+    np.testing.assert_allclose(found.camera.intrinsics, camera.intrinsics, rtol=1e-6)
+    np.testing.assert_allclose(found.camera.distortion, camera.distortion, rtol=1e-5, atol=1e-6)
+    for T, expected in zip(found.board_poses, poses, strict=True):
+        np.testing.assert_allclose(T, expected, atol=1e-6)
+    assert found.rms < 1e-6
+    np.testing.assert_allclose(found.view_rms, 0, atol=1e-6)
+
+
+@cache
+def sound() -> Calibration:
+    """Two noisy views."""
+    return calibrate(noisy(views_at(*FIVE[:2]), 0.2, 1), SIZE)
+
+
+@cache
+def face_on() -> Calibration:
+    return calibrate(noisy(views_at((0, 0)), 0.2, 1), SIZE)
+
+
+# --- exact views are explained exactly ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_map_recovers_an_everyday_camera(count: int) -> None:
+    found = calibrate(views_at(*FIVE[:count]), SIZE)
+    assert_recovered(found, CAMERA, [pose(*tilt) for tilt in FIVE[:count]])
+    assert found.verdict.usable, found.verdict
+    np.testing.assert_allclose(found.tilts_deg, [tilt for tilt, _ in FIVE[:count]], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("camera", "size"),
+    [
+        (Camera(420.0, 419.5, 318.0, 243.0, [-0.28, 0.07, 0.0002, 0.0001, 0.0]), (640, 480)),
+        (Camera(3100.0, 3104.0, 1980.0, 1090.0, [0.04, -0.05, -0.0005, 0.0008, 0.0]), (3840, 2160)),
+        (Camera(900.0, 902.0, 365.0, 640.0, [0.0, 0.0, 0.0, 0.0, 0.0]), (720, 1280)),
+    ],
+)
+def test_map_recovers_other_cameras_from_two_views(camera: Camera, size: tuple[int, int]) -> None:
+    poses = [pose(*tilt, camera=camera, size=size) for tilt in FIVE[:2]]
+    found = calibrate([view(T, camera=camera) for T in poses], size)
+    assert_recovered(found, camera, poses)
+    assert found.image_size == size
+
+
+def test_boards_in_any_plane_of_any_size_with_any_number_of_points() -> None:
+    small, large = Chessboard(5, 4, 0.04).points, Chessboard(13, 9, 0.03).points
+    turn = pose(50, 70, 20)[:3, :3]
+    lifted = large @ turn.T + [0.3, -0.2, 1.0]
+    poses = [pose(*FIVE[0], points=small), pose(*FIVE[1], points=large), pose(*FIVE[2])]
+    views = [view(poses[0], small), View(lifted, view(poses[1], large).image_points), view(poses[2])]
+    lift = np.eye(4)
+    lift[:3, :3], lift[:3, 3] = turn, [0.3, -0.2, 1.0]
+    poses[1] = poses[1] @ np.linalg.inv(lift)
+    assert_recovered(calibrate(views, SIZE), CAMERA, poses)
+    flat = [View(v.object_points[:, :2], v.image_points) for v in (views[0], views[2])]
+    assert_recovered(calibrate(flat, SIZE), CAMERA, [poses[0], poses[2]])
+
+
+def test_sigma_for_each_point() -> None:
+    rng = np.random.default_rng(2)
+    poses = [pose(*tilt) for tilt in FIVE[:2]]
+    exact = [view(T) for T in poses]
+    sigmas = [rng.uniform(0.02, 2.0, len(v)) for v in exact]
+    weighted = [View(v.object_points, v.image_points, s) for v, s in zip(exact, sigmas, strict=True)]
+    assert_recovered(calibrate(weighted, SIZE), CAMERA, poses)
+    scattered = [
+        v.image_points + s[:, None] * rng.normal(size=(54, 2)) for v, s in zip(exact, sigmas, strict=True)
+    ]
+    errors = []
+    for given_sigma in (sigmas, [None, None]):
+        views = [View(BOARD.points, p, s) for p, s in zip(scattered, given_sigma, strict=True)]
+        errors.append(abs(calibrate(views, SIZE).camera.fx - CAMERA.fx))
+    assert errors[0] < 0.5 * errors[1]
+
+
+@pytest.mark.parametrize("tilts", [FIVE[:2], FIVE[:3], ((1.2, 0), (40, 20))])
+def test_zhu2020_recovers_square_pixels(tilts: tuple[tuple[float, float], ...]) -> None:
+    found = calibrate(views_at(*tilts, camera=SQUARE), SIZE, method="zhu2020")
+    assert_recovered(found, SQUARE, [pose(*tilt, camera=SQUARE) for tilt in tilts])
+    assert found.skew == pytest.approx(0, abs=1e-6)
+    assert found.determined is None
+    assert found.prior_conflicts == {}
+
+
+def test_zhang_recovers_three_views() -> None:
+    found = calibrate(views_at(*FIVE[:3], camera=RADIAL), SIZE, method="zhang")
+    assert_recovered(found, RADIAL, [pose(*tilt, camera=RADIAL) for tilt in FIVE[:3]])
+    assert found.skew == pytest.approx(0, abs=1e-6)
+
+
+def test_map_recovers_the_papers_camera_whose_distortion_acts_on_pixels() -> None:
+    # fx and fy differ by more than those of real cameras, so that the two distortion models differ.
+    intrinsics, coefficients = np.array([1100.0, 1108.0, 640, 470, 0]), np.array([-1e-7, 2e-14, 0, 0])
+    poses = [pose(*tilt) for tilt in FIVE[:2]]
+    points = [BOARD.points @ T[:3, :3].T + T[:3, 3] for T in poses]
+    views = [
+        View(BOARD.points, project_pixel_model_jacobians(X, intrinsics, coefficients).pixels) for X in points
+    ]
+    found = calibrate(views, SIZE)
+    np.testing.assert_allclose(found.camera.intrinsics, intrinsics[:4], rtol=1e-5)
+    np.testing.assert_allclose(found.pixel_distortion[:2], coefficients[:2], rtol=1e-3)
+
+
+# --- what must not matter ----------------------------------------------------------------------------------
+
+
+@few
+@given(seed=st.integers(0, 1000), count=st.integers(1, 3))
+def test_scaling_the_image_scales_the_camera(seed: int, count: int) -> None:
+    # Noise below the fixed model error, and the prior of the noise scaled with it.
+    views = noisy(views_at(*FIVE[:count]), 0.03, seed)
+    doubled = [View(v.object_points, 2 * (v.image_points + 0.5) - 0.5) for v in views]
+    one = calibrate(views, SIZE, priors=Priors(corner_sigma_px=(0.03, 1.0)))
+    two = calibrate(doubled, (2560, 1920), priors=Priors(corner_sigma_px=(0.06, 1.0)))
+    expected = one.camera.intrinsics * 2 + [0, 0, 0.5, 0.5]
+    np.testing.assert_allclose(two.camera.intrinsics, expected, rtol=1e-6)
+    np.testing.assert_allclose(two.camera.distortion, one.camera.distortion, atol=1e-6)
+    np.testing.assert_allclose(two.board_poses, one.board_poses, atol=1e-6)
+    assert two.focal_std == pytest.approx(one.focal_std, rel=1e-4)
+    assert two.rms == pytest.approx(2 * one.rms, rel=1e-6)
+
+
+@few
+@given(seed=st.integers(0, 1000), count=st.integers(1, 3), factor=st.sampled_from([1e-3, 0.4, 39.37]))
+def test_scaling_the_board_scales_translations_only(seed: int, count: int, factor: float) -> None:
+    views = noisy(views_at(*FIVE[:count]), 0.2, seed)
+    one = calibrate(views, SIZE)
+    two = calibrate([View(v.object_points * factor, v.image_points) for v in views], SIZE)
+    np.testing.assert_allclose(parameters(two.camera), parameters(one.camera), rtol=1e-6, atol=1e-7)
+    for T, scaled in zip(one.board_poses, two.board_poses, strict=True):
+        np.testing.assert_allclose(scaled[:3, :3], T[:3, :3], atol=1e-6)
+        np.testing.assert_allclose(scaled[:3, 3], T[:3, 3] * factor, rtol=1e-5, atol=1e-7 * factor)
+    assert two.verdict == one.verdict
+
+
+@few
+@given(seed=st.integers(0, 1000), count=st.sampled_from([1, 2, 4]))
+def test_the_order_of_views_and_points_does_not_matter(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    views = noisy(views_at(*FIVE[:count]), 0.2, seed)
+    order = rng.permutation(count)
+    shuffled = []
+    for i in order:
+        points = rng.permutation(54)
+        shuffled.append(View(views[i].object_points[points], views[i].image_points[points]))
+    one, two = calibrate(views, SIZE), calibrate(shuffled, SIZE)
+    np.testing.assert_allclose(parameters(two.camera), parameters(one.camera), rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(np.stack(two.board_poses), np.stack(one.board_poses)[order], atol=1e-6)
+    np.testing.assert_allclose(two.view_rms, one.view_rms[order], rtol=1e-5)
+
+
+# --- error bars --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tilts", [FIVE[:1], FIVE[:2]])
+def test_errors_lie_within_their_error_bars(tilts: tuple[tuple[float, float], ...]) -> None:
+    exact = views_at(*tilts)
+    z = []
+    for seed in range(10):
+        found = calibrate(noisy(exact, 0.3, seed), SIZE)
+        assert found.std is not None
+        truth, estimate = parameters(CAMERA)[:8], parameters(found.camera)[:8]
+        z.append((estimate - truth) / [found.std[name] for name in NAMES])
+    z_all = np.abs(np.array(z))
+    assert (z_all < 3).mean() > 0.97
+    assert (z_all[:, 0] < 3).all()
+    # Nor may they be so wide that they say nothing.
+    assert z_all.max() > 0.3
+
+
+def test_names_and_units_of_the_error_bars() -> None:
+    found = sound()
+    assert found.std is not None
+    assert found.covariance is not None
+    assert found.determined is not None
+    assert tuple(found.std) == NAMES
+    np.testing.assert_allclose(list(found.std.values()), np.sqrt(np.diagonal(found.covariance)))
+    assert found.focal_std == pytest.approx(found.std["fx"] / found.camera.fx)
+    assert 0.0005 < found.focal_std < 0.02
+    np.testing.assert_allclose(found.covariance, found.covariance.T, rtol=1e-9)
+    assert set(found.determined) == {
+        "focal length",
+        "aspect ratio",
+        "principal point x",
+        "principal point y",
+        "radial distortion",
+        "tangential distortion",
+    }
+    assert all(0 <= share <= 1 for share in found.determined.values())
+    assert found.determined["focal length"] > 0.99
+    assert found.prior_conflicts == {}
+
+
+def test_sigma_px_follows_the_noise() -> None:
+    for sigma in (0.1, 0.5):
+        found = calibrate(noisy(views_at(*FIVE[:2]), sigma, 4), SIZE)
+        assert 1.5 * sigma < found.sigma_px < 4 * sigma
+        assert found.rms == pytest.approx(np.sqrt(2) * sigma, rel=0.2)
+        total = np.sqrt((found.view_rms**2).mean())
+        assert found.rms == pytest.approx(total)
+
+
+def test_rms_is_the_distance_of_projected_and_observed_points() -> None:
+    found = sound()
+    for v, T, rms in zip(found.views, found.board_poses, found.view_rms, strict=True):
+        offset = found.camera.project(v.object_points, T) - v.image_points
+        assert rms == pytest.approx(np.sqrt((offset**2).sum(axis=1).mean()), rel=1e-9)
+
+
+def test_projection_is_known_best_where_the_board_was() -> None:
+    found = sound()
+    w, h = SIZE
+    corners = found.projection_std([[0, 0], [w - 1, 0], [0, h - 1], [w - 1, h - 1]])
+    centre = found.projection_std([[(w - 1) / 2, (h - 1) / 2]])
+    assert (centre > 0).all()
+    assert corners.min() > centre[0]
+    assert (face_on().projection_std([[0, 0], [640, 480]]) > [1.0, 0.0]).all()
+
+
+def test_face_on_the_focal_length_is_as_uncertain_as_before() -> None:
+    for found in (face_on(), calibrate(views_at((0, 0)), SIZE)):
+        assert found.focal_std is not None
+        assert found.determined is not None
+        assert 0.2 < found.focal_std < 0.5
+        assert found.verdict.reasons[0].startswith("Fronto-parallel")
+        assert "The focal length is known to 2" in found.verdict.reasons[1]
+        # The noise tells what it can: the aspect ratio is seen face on.
+        assert found.determined["focal length"] < 0.8
+        assert found.determined["aspect ratio"] > 0.5
+
+
+def test_a_users_own_focal_length_is_kept_face_on() -> None:
+    found = calibrate(noisy(views_at((0, 0)), 0.2, 2), SIZE, priors=Priors(focal_px=(1100, 22)))
+    assert found.focal_std == pytest.approx(0.02, rel=0.1)
+    assert found.camera.fx == pytest.approx(1100, rel=0.01)
+
+
+def test_a_false_focal_length_is_a_conflict() -> None:
+    views, own = sound().views, Priors(focal_px=(600, 30))
+    found = calibrate(views, SIZE, priors=own)
+    assert found.prior_conflicts["focal length"] > 3
+    assert found.camera.fx == pytest.approx(1100, rel=0.02)
+    assert found.verdict.usable, "the data have settled the focal length"
+    doubtful = calibrate(views, SIZE, priors=own, thresholds=Thresholds(settled_share=1.1))
+    assert any("focal length contradicts" in reason for reason in doubtful.verdict.reasons)
+
+
+def test_a_cropped_image_contradicts_the_priors() -> None:
+    # The left third of the image is cut off after the picture was taken.
+    views = [View(v.object_points, v.image_points - [430, 0]) for v in noisy(views_at(*FIVE[:3]), 0.2, 5)]
+    found = calibrate(views, (850, 960))
+    assert found.prior_conflicts["principal point x"] > 3
+
+
+def test_zhang_has_no_error_bars() -> None:
+    found = calibrate(noisy(views_at(*FIVE[:3], camera=RADIAL), 0.1, 3), SIZE, method="zhang")
+    assert (found.std, found.focal_std, found.covariance, found.determined) == (None, None, None, None)
+    with pytest.raises(InvalidInput, match='"zhang" reports no uncertainty; use "map"'):
+        found.projection_std([[0, 0]])
+    assert not found.verdict.usable
+    assert "no error bars" in found.verdict.reasons[0]
+
+
+def test_zhu2020_has_error_bars() -> None:
+    found = calibrate(noisy(views_at(*FIVE[:2], camera=SQUARE), 0.2, 3), SIZE, method="zhu2020")
+    assert found.focal_std is not None
+    assert 0.0005 < found.focal_std < 0.05
+    assert abs(found.camera.fx / 1100 - 1) < 4 * found.focal_std
+    assert (found.projection_std([[0, 0], [640, 480]]) > 0).all()
+
+
+def test_too_few_points_for_every_unknown_of_zhu2020() -> None:
+    corners = [0, 8, 45, 53]
+    (v,) = views_at(FIVE[0])
+    found = calibrate([View(v.object_points[corners], v.image_points[corners])], SIZE, method="zhu2020")
+    assert found.focal_std == np.inf
+    assert np.isinf(found.projection_std([[0, 0]])).all()
+    assert not found.verdict.usable
+
+
+def test_four_points_are_enough_for_map() -> None:
+    corners = [0, 8, 45, 53]
+    (v,) = views_at(FIVE[0])
+    found = calibrate([View(v.object_points[corners], v.image_points[corners])], SIZE)
+    assert found.focal_std is not None
+    assert abs(found.camera.fx / CAMERA.fx - 1) < 3 * found.focal_std
+    assert found.rms < 0.5
+
+
+# --- distortion in pixels ----------------------------------------------------------------------------------
+
+
+def test_pixel_distortion_says_the_same_as_the_camera() -> None:
+    for found in (sound(), calibrate(views_at(*FIVE[:2], camera=SQUARE), SIZE, method="zhu2020")):
+        k1, k2, k3, k4 = found.pixel_distortion
+        f = np.sqrt(found.camera.fx * found.camera.fy)
+        expected = [k1 * f**2, k2 * f**4, k4 * f, k3 * f, 0]
+        np.testing.assert_allclose(found.camera.distortion, expected, rtol=1e-6, atol=1e-12)
+
+
+# --- verdict -----------------------------------------------------------------------------------------------
+
+DEGENERATE = {
+    "Fronto-parallel": [pose(1, 0), pose(2, 90)],
+    "Parallel planes": [pose(30, 0), pose(30, 0, shift_px=(200, 100), span=0.3)],
+    "Turn about the normal": [pose(30, 0), pose(30, 0, 60)],
+    "Board too small": [pose(40, 30, span=0.1), pose(35, 120, span=0.1)],
+}
+
+
+@pytest.mark.parametrize("reason", DEGENERATE)
+def test_degenerate_arrangements_are_named(reason: str) -> None:
+    found = calibrate(noisy([view(T) for T in DEGENERATE[reason]], 0.2, 6), SIZE)
+    assert not found.verdict.usable
+    named = [any(text.startswith(name) for text in found.verdict.reasons) for name in DEGENERATE]
+    assert named == [name == reason for name in DEGENERATE]
+
+
+@pytest.mark.parametrize("tilts", [FIVE[:1], FIVE[:2], ((0, 0), (35, 60)), FIVE])
+def test_sound_arrangements_are_usable(tilts: tuple[tuple[float, float], ...]) -> None:
+    found = calibrate(noisy(views_at(*tilts), 0.1, 7), SIZE)
+    assert found.verdict.usable, found.verdict
+    assert found.verdict.reasons == ()
+
+
+def test_thresholds_can_be_changed() -> None:
+    assert sound().verdict.usable
+    strict = calibrate(sound().views, SIZE, thresholds=Thresholds(focal_std=1e-4))
+    assert not strict.verdict.usable
+    assert "0.01 % is asked" in strict.verdict.reasons[0]
+    lenient = calibrate(face_on().views, SIZE, thresholds=Thresholds(focal_std=0.5, tilt_deg=0.0))
+    assert lenient.verdict.usable
+
+
+def test_a_folding_model_is_named() -> None:
+    lens = Camera(700.0, 700.0, 639.5, 479.5, [-0.45, 0.0, 0.0, 0.0, 0.0])
+    found = calibrate(views_at(*FIVE[:3], camera=lens, span=0.3), SIZE)
+    assert any("folds over" in reason for reason in found.verdict.reasons)
+
+
+def test_pixels_of_a_wrong_shape() -> None:
+    for pixels in ([0.0, 0.0], [[0.0, 0.0, 1.0]]):
+        with pytest.raises(InvalidInput, match=r"pixels must have shape \(N, 2\)"):
+            sound().projection_std(pixels)

@@ -312,7 +312,7 @@ class Session:
         chosen = best_subset(known, len(old)) if full else (*old, len(old))
         rival = known.projection_std(np.array(rivals)).min()
         expected = known.projection_std(np.array([chosen]))[0]
-        if len(old) not in chosen or expected > self.frames.criteria.max_error_ratio * rival:
+        if expected >= self.frames.criteria.max_error_ratio * rival:
             return _nothing_new(detection)
         self._keep([together[i] for i in chosen], size, None if full else trial)
         message = f"The expected projection error falls from {rival:.2f} to {expected:.2f} px."

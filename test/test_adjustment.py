@@ -161,5 +161,6 @@ def test_take_keeps_some_starts() -> None:
 def test_rotation_from_vector(direction: tuple[float, float, float], angle: float) -> None:
     vector = np.array(direction) / max(float(np.linalg.norm(direction)), 1e-9) * angle
     R = rotation_from_vector(vector)
-    np.testing.assert_allclose(R, Rotation.from_rotvec(vector).as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(rotation_from_vector(np.stack([vector, -vector])), [R, R.T], atol=1e-12)
+    np.testing.assert_allclose(R, Rotation.from_rotvec(vector).as_matrix(), rtol=0, atol=1e-14)
+    both = rotation_from_vector(np.stack([vector, -vector]))
+    np.testing.assert_allclose(both, [R, R.T], rtol=0, atol=1e-14)

@@ -477,6 +477,14 @@ def test_as_a_process(flat_image: str, tmp_path: Path, installed: bool) -> None:
     assert_one_sentence(done.stderr)
 
 
+def test_a_name_that_is_no_text_at_all(flat_image: str, tmp_path: Path) -> None:
+    """Linux allows any bytes in a name; a real stdout, unlike a captured one, is strict about them."""
+    path = shutil.copy(flat_image, tmp_path / "\udcff.png")
+    done = execute([*COMMAND, *calibrate(path)], capture_output=True)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert r"view \udcff.png: tilt" in done.stdout
+
+
 def read_terminal(descriptor: int) -> str:
     """All that was written to a pseudo-terminal until now, or until its other side was closed."""
     try:

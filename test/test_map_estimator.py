@@ -22,7 +22,7 @@ from fewcal.map_estimator import (
     point_sigma,
 )
 from fewcal.parametrisation import ScaleFree
-from fewcal.views import stack_views
+from fewcal.views import View, stack_views
 
 Array = NDArray[np.float64]
 
@@ -103,6 +103,14 @@ def test_starts_combine_focal_lengths_with_both_poses_of_each_view(count: int) -
     for v in range(count):
         angles = start.rotation[:, v] @ np.swapaxes(start.rotation[:1, v], -1, -2)
         assert np.trace(angles, axis1=1, axis2=2).min() < 1 + 2 * np.cos(np.radians(25)), "both poses occur"
+
+
+def test_starts_of_a_board_in_another_plane_are_in_its_own_axes() -> None:
+    turn = pose(50, 70, 20)[:3, :3]
+    (flat,) = views_at(TILTS[0])
+    start = _starts(stack_views([View(flat.object_points @ turn.T, flat.image_points)]), FREE, Priors())
+    off = np.abs(start.rotation[:, 0] @ turn - pose(*TILTS[0])[:3, :3]).max(axis=(1, 2))
+    assert off.min() < 0.05
 
 
 # --- the estimate ------------------------------------------------------------------------------------------

@@ -139,6 +139,8 @@ def test_determined_share_is_the_variance_that_the_data_removed() -> None:
     result = Posterior(np.diag([1.0, 4.0]), np.diag([4.0, 4.0]))
     np.testing.assert_allclose(determined_share(result), [0.75, 0])
     np.testing.assert_array_equal(determined_share(result._replace(prior_covariance=None)), [1, 1])
+    # A variance that rounding has made larger than the prior's.
+    np.testing.assert_array_equal(determined_share(Posterior(np.eye(1) * (1 + 1e-12), np.eye(1))), [0])
 
 
 # --- projection error --------------------------------------------------------------------------------------

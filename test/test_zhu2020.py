@@ -63,6 +63,14 @@ def test_refinement_removes_what_distortion_does_to_the_closed_form() -> None:
     assert estimate_zhu2020(views, SIZE).geometry.theta[0, 0] == pytest.approx(1100, rel=1e-9)
 
 
+def test_weighted_homographies_find_a_focal_length_where_unweighted_ones_do_not() -> None:
+    centred = Camera(1100.0, 1100.0, SIZE[0] / 2, SIZE[1] / 2, [-0.12, 0.03, 0.0, 0.0, 0.0])
+    views = stack_views(views_at((10, 90), camera=centred, span=0.8))
+    unweighted = homographies(views.plane_points, views.pixels, views.weights)
+    assert simplified_intrinsics(unweighted, np.array(SIZE) / 2)[0] < 0
+    estimate_zhu2020(views, SIZE)
+
+
 def test_the_constraint_of_eq_29_pulls_the_focal_lengths_together() -> None:
     views = stack_views(paper_views([1100, 1150, 650, 470, 0], [-1e-7, 2e-14, 0, 0], *TWO))
     fx, fy = estimate_zhu2020(views, SIZE).geometry.theta[0, :2]

@@ -297,17 +297,16 @@ def test_zhang_has_no_error_bars() -> None:
 
 
 def test_zhu2020_has_error_bars_that_follow_the_noise() -> None:
-    exact = views_at(*FIVE[:2], camera=SQUARE)
+    # So many views that the penalty of eq 29, which knows nothing of the noise, hardly matters.
+    exact = views_at(*FIVE, camera=SQUARE)
     quiet, loud = (calibrate(noisy(exact, sigma, 3), SIZE, method="zhu2020") for sigma in (0.2, 2.0))
-    for found in (quiet, loud):
-        assert found.focal_std is not None
-        assert abs(found.camera.fx / 1100 - 1) < 4 * found.focal_std
-        assert (found.projection_std([[0, 0], [640, 480]]) > 0).all()
     assert quiet.focal_std is not None
     assert loud.focal_std is not None
-    assert 0.0005 < quiet.focal_std < 0.02
-    # The penalty of eq 29 holds fx - fy whatever the noise, so that the ratio is not exactly that of sigma.
-    assert 3 < loud.focal_std / quiet.focal_std < 15
+    for found in (quiet, loud):
+        assert abs(found.camera.fx / 1100 - 1) < 3 * (found.focal_std or 0)
+        assert (found.projection_std([[0, 0], [640, 480]]) > 0).all()
+    assert 0.0005 < quiet.focal_std < 0.01
+    assert loud.focal_std / quiet.focal_std == pytest.approx(loud.sigma_px / quiet.sigma_px, rel=0.2)
 
 
 def test_too_few_points_for_every_unknown_of_zhu2020() -> None:

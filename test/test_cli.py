@@ -547,6 +547,25 @@ def test_a_full_disk_behind_stdout(recording: str) -> None:
     assert "No space left" in done.stderr
 
 
+BAGS = ROOT / "bags"
+TRUTH: dict[str, Any] = json.loads((BAGS / "truth.json").read_text())
+
+
+@pytest.mark.parametrize("select", ["best", "first"])
+@pytest.mark.parametrize("name", TRUTH)
+def test_bundled_recordings_give_the_true_camera(run: Any, name: str, select: str) -> None:
+    truth = TRUTH[name]
+    result = run("calibrate", BAGS / name, "--board", truth["board"], "--select", select, "--json")
+    assert (result.code, result.err) == (0, "")
+    content = result.content
+    check_schema(content)
+    kinds = {frame["stamp_ns"]: frame["kind"] for frame in truth["frames"]}
+    assert [kinds[view["stamp_ns"]] for view in content["views"]] == ["still", "still"]
+    for axis in ("fx", "fy"):
+        error = abs(content["camera"][axis] - truth["camera"][axis])
+        assert error < min(3 * content["std"][axis], 0.01 * truth["camera"][axis])
+
+
 REAL = os.environ.get("FEWCAL_REAL_DATA")
 SETS = {
     "opencv_left": "9x6:0.025",

@@ -2,12 +2,12 @@
 
     python experiments/real_cameras.py DIR [--pairs 30] [--methods map,opencv-expert,...]
 
-DIR holds one folder a camera with a corners.npz: names, view_ptr (V + 1 offsets), obj (M, 3) metres, img (M, 2)
-pixels, image_size (w, h). The reference is OpenCV's calibration on all views with k3 fixed at zero. Printed for
-each method, median and 90th percentile: the relative focal error, and the projection error after the best
-rotation, over a grid on the image, in thousandths of the image diagonal. Then gross failures (focal error above
-10 %, or no answer), those of them that the verdict had not flagged, the share of focal errors within 1, 2 and 3
-reported sigma, and how many answers called usable were off by more than 3.
+DIR holds one folder a camera with a corners.npz: names, view_ptr (V + 1 offsets), obj (M, 3) metres, img
+(M, 2) pixels, image_size (w, h). The reference is OpenCV's calibration on all views with k3 fixed at zero.
+Printed for each method, median and 90th percentile: the relative focal error, and the projection error
+after the best rotation, over a grid on the image, in thousandths of the image diagonal. Then gross failures
+(focal error above 10 %, or no answer), those of them that the verdict had not flagged, the share of focal
+errors within 1, 2 and 3 reported sigma, and how many answers called usable were off by more than 3.
 """
 
 from __future__ import annotations

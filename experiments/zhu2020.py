@@ -2,11 +2,11 @@
 
     python experiments/zhu2020.py [--every 1] [--methods map,zhu2020,zhang] [--quantised]
 
-1350 trials with one view and 1350 with two (sections 5.1.2 to 5.1.4); `--every 9` runs each
-ninth. A trial succeeds when more than 70 % of the parameters (fx s u0 fy v0 k1 k2, and three Euler angles and
-three translations a view) lie within 30 % of the truth, or within 0.1 where the truth is 0. That is lenient, so the
-focal error is printed beside it. The paper does not publish its poses; fewcal.virtual_camera says how ours are
-made.
+1350 trials with one view and 1350 with two (sections 5.1.2 to 5.1.4); `--every 9` runs each ninth. A trial
+succeeds when more than 70 % of the parameters (fx s u0 fy v0 k1 k2, and three Euler angles and three
+translations a view) lie within 30 % of the truth, or within 0.1 where the truth is 0. That is lenient, so
+the focal error is printed beside it. The paper does not publish its poses; fewcal.virtual_camera says how
+ours are made.
 """
 
 from __future__ import annotations

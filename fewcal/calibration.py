@@ -170,7 +170,7 @@ def calibrate(
         raise InvalidInput(f"There is no method {method!r}; choose one of {', '.join(METHODS)}.")
     model = found.adjustment.model
     if isinstance(model, ScaleFree):
-        solution = _map_solution(found, model)
+        solution = _map_solution(found, model, priors)
     else:
         solution = _pixel_solution(found, model, size, priors)
     return _result(found, solution, views, size, method, thresholds)
@@ -189,7 +189,7 @@ class _Solution:
     prior_conflicts: dict[str, float]
 
 
-def _map_solution(found: Estimate, model: ScaleFree) -> _Solution:
+def _map_solution(found: Estimate, model: ScaleFree, priors: Priors) -> _Solution:
     theta = found.geometry.theta[0]
     natural = model.natural(theta)
     if model.in_pixels:
@@ -200,7 +200,8 @@ def _map_solution(found: Estimate, model: ScaleFree) -> _Solution:
         camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
         coefficients = from_plumb_bob(camera)
     rows = found.adjustment.rows(found.geometry)
-    result = posterior(rows)
+    width = max(model.image_size)
+    result = posterior(rows, priors.rows(priors.mode(theta, width)[None], width)[1][0])
     J = model.natural_jacobian(theta)
     return _Solution(
         camera,
@@ -256,6 +257,7 @@ def _result(
         extents=np.array([np.linalg.norm(np.ptp(v.image_points, axis=0)) for v in views]) / np.hypot(*size),
         camera=solution.camera,
         image_size=size,
+        sigma_px=solution.sigma_px,
         focal_std=None if covariance is None else _focal_std(covariance, solution.camera),
         conflicts={
             name: residual

@@ -355,9 +355,12 @@ class Camera:
         xy = undistort(flat, self.distortion)
         if folded == "raise" and np.isnan(xy).any():
             lost = np.isnan(xy[:, 0])
+            # Tangential distortion alone folds without a radius.
+            radius = self.fold_radius_px
+            where = f" {radius:.0f} px from the principal point" if np.isfinite(radius) else ""
             raise ModelFoldsOver(
-                f"The distortion model folds over {self.fold_radius_px:.0f} px from the principal point; "
-                f"{lost.sum()} of {len(flat)} pixels lie beyond it, where it gives no ray."
+                f"The distortion model folds over{where}; {lost.sum()} of {len(flat)} pixels "
+                "lie beyond it, where it gives no ray."
             )
         rays: Array = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)

@@ -37,6 +37,10 @@ def _require_pair(name: str, pair: tuple[float, float]) -> None:
 class Distribution(Protocol):
     """The prior of one number."""
 
+    @property
+    def mean(self) -> float:
+        """Most probable value, in the unit of the quantity."""
+
     def row(self, value: Array) -> tuple[Array, Array]:
         """Compute the residual row and its derivative by the value, elementwise."""
 
@@ -189,6 +193,14 @@ class Priors:
             return self.log_focal_over_width
         mean, sd = self.focal_px
         return Normal(math.log(mean / width), sd / mean)
+
+    def mode(self, theta: Array, width: float) -> Array:
+        """Most probable camera (8,) of the focal length of another one, as :meth:`rows` takes them."""
+        mode = np.array(
+            [theta[0], self.log_aspect.mean, self.principal_point_x.mean, self.principal_point_y.mean]
+        )
+        radial = self.radial.mean(theta[:1] - math.log(width))[0][0]
+        return np.concatenate([mode, radial, [self.tangential.mean] * 2])
 
     def rows(self, theta: Array, width: float) -> tuple[Array, Array]:
         """Compute the rows of all priors on the camera.

@@ -47,6 +47,10 @@ FOCAL_LIMITS = (0.05, 100.0)
 """Closed-form focal lengths outside this range, in max(width, height), are no use as starts."""
 ENUMERATED_VIEWS = 3
 """Up to here both poses of every view are combined, 2^V starts a focal length; more views settle it."""
+SAME = 1e-3
+"""Two starts that agree to this in every unknown of the camera have found one minimum."""
+HOPELESS = 50.0
+"""Difference of the objective at which a minimum is given up: exp(-50) is its share of the probability."""
 KEPT_STARTS = 4
 """Distinct minima followed to the end."""
 ROUNDS = 40
@@ -55,7 +59,7 @@ SCATTER_TOLERANCE = 1e-3
 """Relative change of the scatter at which the alternation has settled."""
 
 _COARSE = Tolerances(gradient=1e-3, step=1e-2, cost=1e-4, iterations=25)
-_ROUND = Tolerances(gradient=1e-8, step=1e-5, cost=1e-9, iterations=50)
+_ROUND = Tolerances(gradient=1e-6, step=1e-3, cost=1e-6, iterations=50)
 _FINE = Tolerances()
 
 
@@ -105,16 +109,22 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
     sigma = point_sigma(problem, state, priors)
     sigma[len(sigma) // 2 :] = TRUSTING_PX
     problem = replace(problem, sigma=sigma)
-    found = minimise(problem, state, _ROUND)
-    lowest = float(_scatter(problem, found.state, priors).min())
+    state = minimise(problem, state, _ROUND).state
+    lowest = float(_scatter(problem, state, priors).min())
     for _ in range(ROUNDS):
-        sigma = point_sigma(problem, found.state, priors)
+        sigma = point_sigma(problem, state, priors)
         change = np.abs(np.log(sigma / problem.sigma)).max()
         problem = replace(problem, sigma=sigma)
-        found = minimise(problem, found.state, _ROUND)
+        found = minimise(problem, state, _ROUND)
+        state, cost = found.state, found.cost
         if change < SCATTER_TOLERANCE:
             break
-    state, objective = _best(problem, found.state, found.cost, priors, 1)
+        # What has come to the same minimum with the same noise goes on as one.
+        values = np.concatenate([state.theta, np.log(problem.sigma)[:, None]], axis=1)
+        kept = _distinct(values, _objective(problem, state, priors))
+        state, cost = Geometry(*(part[kept] for part in state)), cost[kept]
+        problem = problem.take(kept)
+    state, objective = _best(problem, state, cost, priors, 1)
     problem = problem.take(np.arange(1))
     problem = replace(problem, sigma=point_sigma(problem, state, priors))
     last = minimise(problem, state, _FINE)
@@ -172,23 +182,33 @@ def _best(
         raise DegenerateViews(
             "No camera has these views in front of it; check that object and image points belong together."
         )
-    state, problem, cost = Geometry(*(part[usable] for part in state)), problem.take(usable), cost[usable]
+    state = Geometry(*(part[usable] for part in state))
+    objective = _objective(problem.take(usable), state, priors)
+    kept = _distinct(state.theta, objective)[:count]
+    return Geometry(*(part[kept] for part in state)), float(objective[kept[0]])
+
+
+def _objective(problem: Adjustment, state: Geometry, priors: Priors) -> Array:
+    """Negative log posterior of each minimum at the scatter that suits it best, (B,), up to a constant."""
     scatter = _scatter(problem, state, priors)
     sigma = _total_sigma(scatter)
     squares = problem.squares(state).sum(axis=1)
     informative = _degrees_of_freedom(problem.views) / CORRELATION**2
     deviation = np.log(scatter / priors.corner_sigma_px[0]) / priors.corner_sigma_px[1]
     constraint = (problem.constraint(state.theta)[0] ** 2).sum(axis=1)
-    profile = 0.5 * (squares / sigma**2 + constraint + deviation**2)
-    profile += informative * np.log(sigma)
+    objective: Array = 0.5 * (squares / sigma**2 + constraint + deviation**2) + informative * np.log(sigma)
+    return objective
+
+
+def _distinct(values: Array, objective: Array) -> NDArray[np.intp]:
+    """Items from best to worst, without the hopeless and those that agree with a better one."""
     kept: list[int] = []
-    for item in np.argsort(profile, kind="stable"):
-        # Two starts that agree to 1e-3 in every unknown of the camera have found one minimum.
-        if all(np.abs(state.theta[item] - state.theta[other]).max() > 1e-3 for other in kept):
-            kept.append(int(item))
-        if len(kept) == count:
+    for item in np.argsort(objective, kind="stable"):
+        if objective[item] > objective.min() + HOPELESS:
             break
-    return Geometry(*(part[kept] for part in state)), float(profile[kept[0]])
+        if all(np.abs(values[item] - values[other]).max() > SAME for other in kept):
+            kept.append(int(item))
+    return np.array(kept)
 
 
 def _scatter(problem: Adjustment, state: Geometry, priors: Priors) -> Array:

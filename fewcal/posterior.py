@@ -29,23 +29,31 @@ class Posterior(NamedTuple):
     ----------
     covariance : (S, S) of the camera's unknowns, poses marginalised
     prior_covariance : (S, S) or None
-        The same from the constraint rows alone; None where these leave an unknown free.
+        What was known before the first view; None where that leaves an unknown free.
     """
 
     covariance: Array
     prior_covariance: Array | None
 
 
-def posterior(rows: Rows) -> Posterior:
+def posterior(rows: Rows, prior: Array | None = None) -> Posterior:
     """Covariance of the camera from the rows of its linearisation, batch of one.
 
     Each view is reduced by its own QR decomposition to the rows that speak of the camera alone, so that the
     work grows linearly with the number of views.
+
+    Parameters
+    ----------
+    rows : Rows
+    prior : (K, S), optional
+        Derivatives of the constraint rows at the prior's own mode. Far from it the rows of a heavy-tailed
+        prior are nearly flat, as if nothing had been known. Those of `rows` when left out.
     """
     reduced = camera_rows(rows)
-    prior = rows.prior_by_camera[0]
+    constraint = rows.prior_by_camera[0]
+    prior = constraint if prior is None else prior
     return Posterior(
-        covariance_from_rows(np.concatenate([reduced.reshape(-1, reduced.shape[-1]), prior])),
+        covariance_from_rows(np.concatenate([reduced.reshape(-1, reduced.shape[-1]), constraint])),
         covariance_from_rows(prior) if np.linalg.matrix_rank(prior) == prior.shape[1] else None,
     )
 

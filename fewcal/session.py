@@ -174,7 +174,8 @@ def shift_px(view: View, other: View) -> float:
 class Session:
     """Takes frames one at a time and keeps the views that make the best camera.
 
-    While views are missing, a view is kept when it tells more than a second look at one that is there would.
+    While views are missing, a view is kept when it tells more than a second look at one that is there would,
+    or when the camera is usable already and stays so.
     When there are enough, a better view takes the place of the one it makes superfluous.
 
     Parameters
@@ -217,8 +218,11 @@ class Session:
     @property
     def complete(self) -> bool:
         """Whether there are as many views as required and the camera they make is usable."""
-        enough = len(self._kept) >= self.views_required
-        return enough and self._judged is not None and self._judged.verdict.usable
+        return len(self._kept) >= self.views_required and self._usable
+
+    @property
+    def _usable(self) -> bool:
+        return self._judged is not None and self._judged.verdict.usable
 
     def add(self, image: NDArray[Any], stamp_ns: int | None = None, source: str = "") -> Decision:
         """Take one frame, see :meth:`FrameFilter.look`; a kept frame's view is added to `views`."""
@@ -312,7 +316,9 @@ class Session:
         chosen = best_subset(known, len(old)) if full else (*old, len(old))
         rival = known.projection_std(np.array(rivals)).min()
         expected = known.projection_std(np.array([chosen]))[0]
-        if expected >= self.frames.criteria.max_error_ratio * rival:
+        # Views that make a usable camera have nothing left to wait for but their number.
+        enough = not full and self._usable and trial.verdict.usable
+        if not enough and expected >= self.frames.criteria.max_error_ratio * rival:
             return _nothing_new(detection)
         self._keep([together[i] for i in chosen], size, None if full else trial)
         message = f"The expected projection error falls from {rival:.2f} to {expected:.2f} px."

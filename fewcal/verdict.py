@@ -31,6 +31,8 @@ class Thresholds:
         Boards nearer to parallel with each other count as one view.
     board_extent : float
         Smallest diagonal of a view's points, as a share of the image diagonal.
+    sigma_px : float
+        Largest standard deviation of an image point, pixels: no board is that uneven, nor any lens.
     conflict : float
         Residual of a prior, in standard deviations, from which camera and prior disagree.
     settled_share : float
@@ -41,6 +43,7 @@ class Thresholds:
     tilt_deg: float = 5.0
     plane_angle_deg: float = 5.0
     board_extent: float = 0.15
+    sigma_px: float = 4.0
     conflict: float = 3.0
     settled_share: float = 0.99
 
@@ -70,6 +73,8 @@ class Evidence:
     extents : (V,) diagonal of each view's points over the image diagonal
     camera : Camera
     image_size : (width, height), pixels
+    sigma_px : float
+        Standard deviation of an image point that the error bars rest on, pixels.
     focal_std : float or None
         Relative one sigma of the focal length; None where the method reports none.
     conflicts : dict
@@ -81,6 +86,7 @@ class Evidence:
     extents: Array
     camera: Camera
     image_size: tuple[int, int]
+    sigma_px: float
     focal_std: float | None
     conflicts: dict[str, float]
     converged: bool
@@ -146,6 +152,12 @@ def _doubts(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
             f"The focal length is {known if np.isfinite(evidence.focal_std) else 'not determined'}, "
             f"{100 * thresholds.focal_std:.2g} % is asked; add a view with the board tilted by 30 to 60 deg "
             "about another axis."
+        )
+    if evidence.sigma_px > thresholds.sigma_px:
+        yield (
+            f"The points miss the camera by {evidence.sigma_px:.1f} px (one sigma), more than any board or "
+            "lens explains; check that points and board belong together, the board is flat and every prior "
+            "true."
         )
     for name, residual in evidence.conflicts.items():
         if residual > thresholds.conflict:

@@ -12,7 +12,7 @@ from typing import NoReturn
 
 from fewcal.boards import parse_board
 from fewcal.calibration import METHODS
-from fewcal.camera_info import write_camera_info
+from fewcal.camera_info import check_camera_name, write_camera_info
 from fewcal.constraints import Priors
 from fewcal.errors import DegenerateViews, FewcalError, InvalidInput
 from fewcal.files import write_atomically
@@ -181,6 +181,7 @@ def _view_count(text: str) -> int | None:
 def _calibrate(options: argparse.Namespace) -> int:
     if not options.max_focal_std > 0:
         raise InvalidInput("--max-focal-std must be above zero, for example 0.02 for 2 %.")
+    check_camera_name(options.camera_name)
     settings = Settings(
         board=parse_board(options.board),
         views=options.views,

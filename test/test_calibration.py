@@ -280,6 +280,16 @@ def test_a_false_focal_length_is_a_conflict() -> None:
     assert any("focal length contradicts" in reason for reason in doubtful.verdict.reasons)
 
 
+def test_a_conflict_far_out_in_the_tail_of_a_prior_is_not_settled() -> None:
+    # A t prior is nearly flat out there; measured at the estimate it seems to have said nothing.
+    views = noisy(views_at((40, 30), (35, 120)), 0.2, 0)
+    found = calibrate(views, SIZE, priors=Priors(focal_px=(600, 12)))
+    assert found.determined is not None
+    assert found.determined["aspect ratio"] < 0.9
+    assert not found.verdict.usable
+    assert any("aspect ratio contradicts" in reason for reason in found.verdict.reasons)
+
+
 def test_a_cropped_image_contradicts_the_priors() -> None:
     # The left third of the image is cut off after the picture was taken.
     views = [View(v.object_points, v.image_points - [430, 0]) for v in noisy(views_at(*FIVE[:3]), 0.2, 5)]

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -509,7 +510,12 @@ def test_interrupted_in_the_middle(empty_image: str, tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     command = [*COMMAND, *calibrate(*[empty_image] * 5000), "--out", str(tmp_path)]
     with subprocess.Popen(
-        [str(part) for part in command], env=subprocess_environment(), stdout=subprocess.PIPE, stderr=theirs
+        [str(part) for part in command],
+        env=subprocess_environment(),
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        # A suite that runs in the background of a shell inherits an ignored SIGINT.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
     ) as process:
         os.close(theirs)
         shown = ""

@@ -223,3 +223,14 @@ def test_the_same_frames_give_the_same_camera_bit_by_bit(complete_session: Sessi
 def test_no_fewer_than_one_view(count: int) -> None:
     with pytest.raises(InvalidInput, match="At least one view"):
         Session(BOARD, count)
+
+
+def test_a_usable_camera_does_not_wait_for_a_view_that_tells_much_more() -> None:
+    # Real boards are never as flat as the noise model says, so that a second view may promise little.
+    demanding = Criteria(max_error_ratio=0.05)
+    session = Session(BOARD, criteria=demanding)
+    reasons = [session.add(image).reason for image in (shown(50.0, 10.0), shown(42.0, 20.0))]
+    assert reasons == ["kept", "kept"]
+    assert session.complete
+    unusable = Session(BOARD, criteria=demanding)
+    assert [unusable.add(image).reason for image in (flat(), shown(8.0, 10.0))] == ["kept", "nothing new"]

@@ -23,12 +23,18 @@ SOUND = Evidence(
     extents=np.array([0.4, 0.5]),
     camera=CAMERA,
     image_size=SIZE,
+    sigma_px=0.5,
     focal_std=0.004,
     conflicts={"focal length": 1.0},
     converged=True,
 )
 
 CASES: dict[str, tuple[dict[str, object], str]] = {
+    "scatter": (
+        {"sigma_px": 4.2},
+        "The points miss the camera by 4.2 px (one sigma), more than any board or lens explains; check that "
+        "points and board belong together, the board is flat and every prior true.",
+    ),
     "fronto-parallel": (
         {"rotations": rotations((2, 0), (3.2, 90))},
         "Fronto-parallel: the board is within 4 deg of parallel to the image, which says nothing of the "

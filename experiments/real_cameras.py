@@ -111,8 +111,9 @@ def projection_error(camera: fewcal.Camera, truth: fewcal.Camera, size: tuple[in
         step = np.linalg.lstsq(J[seen], target[seen], rcond=None)[0]
         R = rotation_from_vector(step) @ R
     error = camera.project(rays @ R.T) - pixels
-    squares = np.minimum((error**2).sum(axis=1), diagonal**2)
-    return 1e3 * float(np.sqrt(np.nanmean(squares))) / diagonal
+    # A direction that does not project counts as one that is off by the whole diagonal.
+    squares = np.nan_to_num((error**2).sum(axis=1), nan=np.inf).clip(max=diagonal**2)
+    return 1e3 * float(np.sqrt(squares.mean())) / diagonal
 
 
 def draws(count: int, pairs: int, rng: np.random.Generator) -> dict[int, list[tuple[int, ...]]]:

@@ -5,6 +5,7 @@ from .calibration import Calibration, calibrate
 from .camera import Camera
 from .camera_info import read_camera_info, write_camera_info
 from .constraints import Normal, Priors, RadialPrior, StudentT
+from .detection import detect
 from .errors import (
     BoardNotFound,
     DegenerateViews,
@@ -13,6 +14,7 @@ from .errors import (
     InvalidInput,
     ModelFoldsOver,
 )
+from .session import Session
 from .verdict import Thresholds, Verdict
 from .views import View
 
@@ -30,11 +32,13 @@ __all__ = [
     "Normal",
     "Priors",
     "RadialPrior",
+    "Session",
     "StudentT",
     "Thresholds",
     "Verdict",
     "View",
     "calibrate",
+    "detect",
     "parse_board",
     "read_camera_info",
     "write_camera_info",

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from .adjustment import Rows
 from .camera import Camera, project_jacobians
@@ -86,7 +85,7 @@ def covariance_from_rows(rows: Array) -> Array:
     triangle = np.linalg.qr(rows / length, mode="r")
     if np.abs(np.diagonal(triangle)).min() < np.finfo(float).eps * len(rows):
         return np.full((rows.shape[1], rows.shape[1]), np.inf)
-    inverse = solve_triangular(triangle, np.eye(len(triangle))) / length[:, None]
+    inverse = np.linalg.inv(triangle) / length[:, None]
     covariance: Array = inverse @ inverse.T
     return covariance
 

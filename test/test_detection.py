@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from pathlib import Path
 from typing import Any
 
@@ -278,26 +277,6 @@ def test_a_mirror_image_is_a_view_of_a_board() -> None:
     found = detect(image[:, ::-1], BOARD).image_points
     mirrored = np.column_stack([SIZE[0] - 1 - true[:, 0], true[:, 1]]).reshape(6, 9, 2)
     assert rms(found, mirrored[::-1].reshape(-1, 2)) < 0.03
-
-
-def best_of_three(call: Any) -> float:
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
-def test_it_is_much_faster_than_opencv() -> None:
-    camera, size = Camera(1800.0, 1800.0, 959.5, 539.5), (1920, 1080)
-    T = pose(BOARD, 20, 20, 40, 15)
-    shown, _ = picture(T, camera=camera, size=size)
-    empty = render(camera, size, None, None, background=clutter(size, np.random.default_rng(1)))
-    with_board = best_of_three(lambda: detect(shown, BOARD))
-    without = best_of_three(lambda: refusal(empty))
-    assert with_board < 0.25 * best_of_three(lambda: cv2.findChessboardCornersSB(shown, (9, 6)))
-    assert without < 0.1 * best_of_three(lambda: cv2.findChessboardCornersSB(empty, (9, 6)))
 
 
 @pytest.mark.skipif(not REAL, reason="FEWCAL_REAL_DATA is not set")

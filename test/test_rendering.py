@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import cv2
@@ -166,16 +165,6 @@ class TestConditions:
 
 
 class TestRender:
-    def test_is_fast_once_the_rays_are_known(self):
-        T, background = filling(30, 40), clutter(SIZE, np.random.default_rng(0))
-        render(CAMERA, SIZE, BOARD, T, background=background)
-        times = []
-        for _ in range(3):
-            start = time.perf_counter()
-            render(CAMERA, SIZE, BOARD, T, background=background)
-            times.append(time.perf_counter() - start)
-        assert min(times) < 2.0  # 0.3 s on an idle core
-
     def test_clutter_is_a_background(self):
         background = clutter(SIZE, np.random.default_rng(5))
         assert background.shape == SIZE[::-1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -209,8 +209,8 @@ def _map_solution(found: Estimate, model: ScaleFree, priors: Priors) -> _Solutio
         0.0,
         float(found.adjustment.sigma[0]),
         J @ result.covariance @ J.T,
-        _worst_by_name(1 - determined_share(result), lambda open_share: 1 - open_share),
-        _worst_by_name(np.abs(rows.prior[0]), float),
+        {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)).items()},
+        _worst_by_name(np.abs(rows.prior[0])),
     )
 
 
@@ -228,12 +228,12 @@ def _pixel_solution(found: Estimate, model: PixelModel, size: tuple[int, int], p
     return _Solution(camera, coefficients, float(theta[4]), sigma, covariance, None, {})
 
 
-def _worst_by_name(values: Array, convert: Callable[[float], float]) -> dict[str, float]:
+def _worst_by_name(values: Array) -> dict[str, float]:
     """Gather rows that speak of one quantity under its name, keeping the largest value."""
     worst: dict[str, float] = {}
     for name, value in zip(PRIOR_ROWS, values.tolist(), strict=True):
         worst[name] = max(value, worst.get(name, value))
-    return {name: convert(value) for name, value in worst.items()}
+    return worst
 
 
 def _result(

@@ -142,7 +142,7 @@ def minimise(problem: Problem[State], start: State, tolerances: Tolerances = Tol
     stop = np.full(size, Stop.ITERATIONS, dtype=np.int8)
     iterations = np.zeros(size, dtype=np.int64)
     damping, growth = np.full(size, INITIAL_DAMPING), np.full(size, 2.0)
-    reason = np.where(np.isfinite(equations.cost), _flat(equations, tolerances), Stop.STALLED)
+    reason = np.where(np.isfinite(equations.cost), _flat(equations, tolerances), Stop.STALLED).astype(np.int8)
     for iteration in range(tolerances.iterations + 1):
         done = reason > 0
         if done.any() or iteration == tolerances.iterations:
@@ -159,27 +159,21 @@ def minimise(problem: Problem[State], start: State, tolerances: Tolerances = Tol
         shared, local, predicted, moved = solve(equations, damping)
         trial = problem.retract(state, shared, local)
         trial_equations = problem.linearise(trial)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            gain = (equations.cost - trial_equations.cost) / predicted
-        better = np.isfinite(trial_equations.cost) & (gain > 0)
-        decrease = np.where(better, equations.cost - trial_equations.cost, np.inf)
+        decrease = equations.cost - trial_equations.cost
+        better = np.isfinite(trial_equations.cost) & (decrease > 0)
         # With heavy damping any step is predicted to gain little, which says nothing about the minimum.
         small = (predicted <= tolerances.cost * equations.cost) & (damping <= 1)
         small &= ~better | (decrease <= tolerances.cost * equations.cost)
         state = _where(better, trial, state)
         equations = NormalEquations(*_where(better, trial_equations, equations))
-        gain = np.where(better, gain, 0)
-        damping = np.where(better, damping * np.maximum(1 / 3, 1 - (2 * gain - 1) ** 3), damping * growth)
-        growth = np.where(better, 2.0, 2 * growth)
-        reason = np.where(
-            small,
-            Stop.COST,
-            np.where(
-                moved <= tolerances.step,
-                Stop.STEP,
-                np.where(damping > LARGEST_DAMPING, Stop.STALLED, _flat(equations, tolerances)),
-            ),
-        )
+        damping, growth = _damp(better, decrease, predicted, damping, growth)
+        reason = _flat(equations, tolerances)
+        for stop_here, why in (
+            (damping > LARGEST_DAMPING, Stop.STALLED),
+            (moved <= tolerances.step, Stop.STEP),
+            (small, Stop.COST),
+        ):
+            reason = np.where(stop_here, why, reason).astype(np.int8)
     # A State is a named tuple, which takes its parts one by one.
     return Minimum(type(start)(*final_state), final_cost, stop, iterations)
 
@@ -217,6 +211,16 @@ def solve(equations: NormalEquations, damping: Array) -> tuple[Array, Array, Arr
     squares = scaled.sum(axis=1) + scaled_local.sum(axis=(1, 2))
     descent = -(equations.g_shared * shared).sum(axis=1) - (g_local * local).sum(axis=(1, 2))
     return shared, local, 0.5 * (descent + damping * squares), np.sqrt(squares)
+
+
+def _damp(
+    better: NDArray[np.bool_], decrease: Array, predicted: Array, damping: Array, growth: Array
+) -> tuple[Array, Array]:
+    """Damping of the next step and its growth: less after a good step, more and more after bad ones."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        gain = np.where(better, decrease / predicted, 0)
+    eased = damping * np.maximum(1 / 3, 1 - (2 * gain - 1) ** 3)
+    return np.where(better, eased, damping * growth), np.where(better, 2.0, 2 * growth)
 
 
 def _flat(equations: NormalEquations, tolerances: Tolerances) -> NDArray[np.int8]:

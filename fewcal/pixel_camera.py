@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera, distort_jacobians, project_pixel_model_jacobians
+from .camera import Camera, project_pixel_model_jacobians
+from .distortion import distort_jacobians
 
 Array = NDArray[np.float64]
 

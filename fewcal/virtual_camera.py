@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .adjustment import rotation_from_vector
 from .boards import Chessboard
-from .camera import distort, fold_radius, undistort
+from .distortion import distort, fold_radius, undistort
 from .errors import InvalidInput
 from .rendering import Projector
 from .views import View

@@ -1,25 +1,20 @@
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
+from scenes import assert_derivative, differences
 
 from fewcal.camera import (
     Camera,
-    distort,
-    distort_jacobians,
-    fold_radius,
     project,
     project_jacobians,
     project_pixel_model_jacobians,
-    undistort,
 )
+from fewcal.distortion import distort, distort_jacobians, fold_radius, undistort
 from fewcal.errors import InvalidInput, ModelFoldsOver
 
 Array = NDArray[np.float64]
@@ -40,23 +35,6 @@ def cameras(draw: st.DrawFn, k1: float = 0.5, k2: float = 0.5, k3: float = 0.2) 
     return Camera(
         fx, fx * draw(between(0.9, 1.1)), draw(between(540, 740)), draw(between(380, 580)), distortion
     )
-
-
-def differences(function: Callable[[Array], Array], at: Array, step: float) -> Array:
-    """Central differences of `function` by the last axis of `at`; the new axis comes last."""
-    columns = []
-    for i in range(at.shape[-1]):
-        ahead, back = at.copy(), at.copy()
-        ahead[..., i] += step
-        back[..., i] -= step
-        columns.append((function(ahead) - function(back)) / (2 * step))
-    return np.stack(columns, axis=-1)
-
-
-def assert_derivative(analytic: Array, numeric: Array) -> None:
-    """Agreement to 1e-7 of the largest entry: what central differences can show in double precision."""
-    assert analytic.shape == numeric.shape
-    np.testing.assert_allclose(analytic, numeric, rtol=1e-6, atol=1e-7 * np.abs(numeric).max())
 
 
 BATCH, POINTS = (2, 3), 5
@@ -122,54 +100,7 @@ def test_unproject_of_the_principal_point_looks_ahead() -> None:
     np.testing.assert_allclose(camera.unproject([640.0, 480.0]), [0, 0, 1], atol=1e-15)
 
 
-def test_undistort_takes_a_batch_of_lenses(distortion: Array) -> None:
-    xy = np.random.default_rng(4).uniform(-0.4, 0.4, (*BATCH, POINTS, 2))
-    np.testing.assert_allclose(undistort(distort(xy, distortion), distortion), xy, atol=1e-12)
-
-
 # --- where the model folds over ----------------------------------------------------------------------------
-
-
-@given(hnp.arrays(np.float64, 3, elements=between(-2, 2)))
-def test_fold_radius_is_the_first_zero_of_the_slope(k: Array) -> None:
-    assume(np.all((np.abs(k) > 1e-3) | (k == 0)))
-    lens = np.array([k[0], k[1], 0, 0, k[2]])
-
-    def slope(r: Array) -> Array:
-        step = 1e-6
-
-        def radial(at: Array) -> Array:
-            return distort(np.stack([at, np.zeros_like(at)], axis=-1), lens)[..., 0]
-
-        return (radial(r + step) - radial(r - step)) / (2 * step)
-
-    fold = float(fold_radius(lens))
-    end = fold if np.isfinite(fold) else 20.0
-    assert np.all(slope(np.linspace(0, end, 400)[:-1]) > -1e-6), "it turns back before the radius reported"
-    if np.isfinite(fold):
-        steepness = abs(slope(np.array([fold * 1.01]))[0]) + 1
-        assert abs(slope(np.array([fold]))[0]) < 1e-5 * steepness * (1 + fold**6)
-
-
-@pytest.mark.parametrize(
-    ("lens", "expected"),
-    [
-        ([0, 0, 0, 0, 0], np.inf),
-        ([0.3, 0.1, 0, 0, 0.1], np.inf),
-        ([-0.3, 0, 0, 0, 0], 1 / np.sqrt(0.9)),
-        ([0, -0.2, 0, 0, 0], 1.0),
-        ([0, 0, 0, 0, -1 / 7], 1.0),
-        ([1.0, -0.8, 0, 0, 0], 1.0),
-    ],
-)
-def test_fold_radius_of_known_lenses(lens: list[float], expected: float) -> None:
-    assert float(fold_radius(np.array(lens, dtype=float))) == pytest.approx(expected, rel=1e-9)
-
-
-def test_fold_radius_takes_a_batch() -> None:
-    lenses = np.zeros((2, 3, 5))
-    lenses[1, :, 0] = -0.3
-    np.testing.assert_allclose(fold_radius(lenses), [[np.inf] * 3, [1 / np.sqrt(0.9)] * 3])
 
 
 def test_a_pixel_beyond_the_fold_is_refused_with_the_radius() -> None:
@@ -206,13 +137,6 @@ def test_a_lens_that_never_folds_says_so() -> None:
 
 
 # --- Jacobians ---------------------------------------------------------------------------------------------
-
-
-def test_distort_jacobians(distortion: Array) -> None:
-    xy = np.random.default_rng(4).uniform(-0.5, 0.5, (*BATCH, POINTS, 2))
-    d_points, d_coefficients = distort_jacobians(xy, distortion)
-    assert_derivative(d_points, differences(lambda at: distort(at, distortion), xy, 1e-6))
-    assert_derivative(d_coefficients, differences(lambda at: distort(xy, at), distortion, 1e-6))
 
 
 def test_project_jacobians(points: Array, intrinsics: Array, distortion: Array) -> None:

@@ -29,6 +29,9 @@ def main(names: list[str]) -> int:
     """Run the command on one recording and compare; returns the exit code."""
     recordings: dict[str, Any] = json.loads((BAGS / "truth.json").read_text())
     name = names[0] if names else next(iter(recordings))
+    if name not in recordings:
+        print(f"There is no recording {name!r}; choose from {', '.join(recordings)}.", file=sys.stderr)
+        return 2
     truth = recordings[name]
     command = ["fewcal", "calibrate", f"bags/{name}", "--board", truth["board"], "--out", OUTPUT.name]
     print("$", *command, flush=True)

@@ -155,23 +155,22 @@ def _choose(views: list[View], size: tuple[int, int], settings: Settings, count:
 
 
 class _Fates:
-    """Remembers one sentence for each reason, to answer with when there is no view at all."""
+    """Remembers what was said of the frames, to answer with when there is no view at all."""
 
     def __init__(self) -> None:
-        self._counts: Counter[str] = Counter()
-        self._sentences: dict[str, str] = {}
+        self._said: dict[str, Counter[str]] = {}
 
     def note(self, reason: str, message: str) -> None:
-        self._counts[reason] += 1
-        self._sentences.setdefault(reason, message)
+        self._said.setdefault(reason, Counter())[message] += 1
 
     def no_view(self, board: Chessboard) -> DegenerateViews:
-        """Say why no frame gave a view, with the sentence of the commonest reason that showed a board."""
-        if not self._counts:
+        """Say why no frame gave a view: the commonest sentence of the commonest reason with a board."""
+        if not self._said:
             return DegenerateViews("There is no frame to look at; give a recording or images with some.")
-        telling = Counter({reason: n for reason, n in self._counts.items() if reason != "no board"})
-        reason = (telling or self._counts).most_common(1)[0][0]
-        total = self._counts.total()
+        telling = [reason for reason in self._said if reason != "no board"] or ["no board"]
+        sentences = self._said[max(telling, key=lambda reason: self._said[reason].total())]
+        total = sum(said.total() for said in self._said.values())
         return DegenerateViews(
-            f"None of {total} frame{'s' * (total != 1)} shows {board} well enough. {self._sentences[reason]}"
+            f"None of {total} frame{'s' * (total != 1)} shows {board} well enough. "
+            f"{sentences.most_common(1)[0][0]}"
         )

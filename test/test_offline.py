@@ -144,6 +144,15 @@ def test_no_view_names_the_commonest_telling_reason(select: str) -> None:
         calibrate_frames([], Settings(board, select=select))
 
 
+def test_no_view_says_what_was_said_most_often() -> None:
+    # The board half hidden comes first; what counts is the size that the other frames show.
+    hidden = flat().copy()
+    hidden[:, 330:] = 128
+    settings = Settings(Chessboard(8, 5, 0.025))
+    with pytest.raises(DegenerateViews, match="Found 9x6 interior corners where 8x5"):
+        calibrate_frames(frames_of([hidden, flat(), flat()]), settings)
+
+
 def test_the_choice_of_views_does_not_depend_on_the_method() -> None:
     cameras = [calibrated([flat(), *pair()], method=method).calibration for method in ("map", "zhu2020")]
     assert [view.source for view in cameras[0].views] == [view.source for view in cameras[1].views]

@@ -35,7 +35,6 @@ PRINTED = {
     ("zhu2020", 2, True): 1350,
 }
 """Successes of 1350 that the paper prints: method, views, pixels rounded to integers."""
-TRIALS = 1350
 
 
 def euler(R: NDArray[np.float64]) -> tuple[float, float, float]:

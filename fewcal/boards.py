@@ -69,15 +69,6 @@ class Chessboard:
         y, x = np.mgrid[: self.rows, : self.columns].reshape(2, -1)
         return np.stack([x, y, np.zeros_like(x)], axis=1) * float(self.square_size)
 
-    @property
-    def symmetric(self) -> bool:
-        """Whether the board looks the same when turned by 180 degrees.
-
-        True when columns and rows are both odd or both even; the pose of each view is then known
-        only up to half a turn, which does not affect the camera.
-        """
-        return (self.columns - self.rows) % 2 == 0
-
     def __str__(self) -> str:
         return f"chessboard:{self.columns}x{self.rows}:{float(self.square_size)!r}"
 

@@ -99,13 +99,6 @@ def refine_homographies(
     return _denormalise(H, from_source, from_target)
 
 
-def transform(H: Array, points: Array) -> Array:
-    """Map (..., N, 2) points by (..., 3, 3) homographies."""
-    mapped = points @ np.swapaxes(H[..., :2], -1, -2) + H[..., None, :, 2]
-    image: Array = mapped[..., :2] / mapped[..., 2:]
-    return image
-
-
 def check_points(board_points: Array, image_points: Array, weights: Array) -> None:
     """Refuse views that no plane-to-image map can be drawn from."""
     counts = (weights > 0).sum(axis=-1)

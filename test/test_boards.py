@@ -31,15 +31,6 @@ def test_the_text_form_of_the_design() -> None:
     assert parse_board("  chessboard:9X6:2.5e-2\n") == Chessboard(9, 6, 0.025)
 
 
-@pytest.mark.parametrize(
-    ("columns", "rows", "symmetric"), [(9, 6, False), (8, 6, True), (7, 7, True), (9, 5, True), (4, 5, False)]
-)
-def test_symmetric_boards_look_the_same_turned_by_half(columns: int, rows: int, symmetric: bool) -> None:
-    assert Chessboard(columns, rows, 0.03).symmetric is symmetric
-    squares = np.indices((rows + 1, columns + 1)).sum(axis=0) % 2
-    assert np.array_equal(squares, squares[::-1, ::-1]) is symmetric
-
-
 def test_a_chessboard_is_a_board() -> None:
     assert isinstance(Chessboard(9, 6, 0.025), Board)
 

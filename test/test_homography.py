@@ -15,7 +15,6 @@ from fewcal.homography import (
     _HomographyProblem,
     homographies,
     refine_homographies,
-    transform,
 )
 from fewcal.views import stack_views
 
@@ -26,6 +25,12 @@ CENTRE = np.array(SIZE) / 2
 PLANE = BOARD.points[:, :2] - BOARD.points[:, :2].mean(axis=0)
 ONES = np.ones((2, len(PLANE)))
 POSES = np.stack([pose(40, 20, camera=PINHOLE), pose(55, 200, 30, camera=PINHOLE)])
+
+
+def transform(H: Array, points: Array) -> Array:
+    """Map (..., N, 2) points by (..., 3, 3) homographies."""
+    mapped = points @ np.swapaxes(H[..., :2], -1, -2) + H[..., None, :, 2]
+    return mapped[..., :2] / mapped[..., 2:]
 
 
 def exact() -> tuple[Array, Array, Array]:

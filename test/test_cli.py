@@ -494,14 +494,21 @@ def read_terminal(descriptor: int) -> str:
         return ""
 
 
-def test_progress_is_for_terminals_and_on_stderr(recording: str) -> None:
+def test_progress_is_for_terminals_and_on_stderr(recording: str, tmp_path: Path) -> None:
+    """The terminal is read all the while, since a program that fills it has to wait."""
     ours, theirs = pty.openpty()
-    done = execute([*COMMAND, *calibrate(recording), "--json"], stdout=subprocess.PIPE, stderr=theirs)
-    os.close(theirs)
-    shown = read_terminal(ours)
-    os.close(ours)
-    assert done.returncode == 0
-    check_schema(json.loads(done.stdout))
+    shown = ""
+    with (tmp_path / "stdout").open("w+") as stdout:
+        command = [str(part) for part in (*COMMAND, *calibrate(recording), "--json")]
+        with subprocess.Popen(command, env=subprocess_environment(), stdout=stdout, stderr=theirs) as process:
+            os.close(theirs)
+            while news := read_terminal(ours):
+                shown += news
+            code = process.wait(TIMEOUT_S)
+        os.close(ours)
+        stdout.seek(0)
+        assert code == 0
+        check_schema(json.load(stdout))
     assert "Looking for the board" in shown
 
 

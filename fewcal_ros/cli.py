@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from fewcal.boards import parse_board
 from fewcal.calibration import METHODS
@@ -23,6 +24,12 @@ from .messages import Frame
 from .offline import Outcome, Settings, calibrate_frames
 from .recordings import RecordingInfo, recording_info
 from .report import as_json, as_text
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+REDRAW_S = 0.1
+"""The progress bar is drawn no more often than this."""
 
 USABLE, NOT_USABLE, BAD_INPUT, NO_CALIBRATION = 0, 1, 2, 3
 INTERRUPTED, PIPE_CLOSED = 130, 141
@@ -238,8 +245,21 @@ def _progress(reader: FrameReader) -> Iterator[Iterable[Frame]]:
     from rich.console import Console  # only a terminal needs it, and it takes its time to import
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        yield progress.track(reader, total=reader.total, description="Looking for the board")
+    # No threads: one that redraws the bar outlives an interrupt, and the process with it.
+    with Progress(console=Console(stderr=True), transient=True, auto_refresh=False) as progress:
+        yield _counted(reader, progress)
+
+
+def _counted(reader: FrameReader, progress: Progress) -> Iterator[Frame]:
+    """Pass frames on and move the progress bar."""
+    task = progress.add_task("Looking for the board", total=reader.total)
+    drawn = float("-inf")
+    for frame in reader:
+        if time.monotonic() - drawn >= REDRAW_S:
+            progress.refresh()
+            drawn = time.monotonic()
+        yield frame
+        progress.advance(task)
 
 
 def _info(options: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import select
 import shutil
 import signal
 import subprocess
@@ -488,6 +489,8 @@ def test_a_name_that_is_no_text_at_all(flat_image: str, tmp_path: Path) -> None:
 
 def read_terminal(descriptor: int) -> str:
     """All that was written to a pseudo-terminal until now, or until its other side was closed."""
+    ready, _, _ = select.select([descriptor], [], [], TIMEOUT_S)
+    assert ready, "the command has gone silent"
     try:
         return os.read(descriptor, 1 << 16).decode(errors="replace")
     except OSError:  # Linux: nobody has the other side open

@@ -128,7 +128,7 @@ def write_camera_info(
     InvalidInput
         When the name is not allowed or the file cannot be written.
     """
-    _check_name(camera_name, _NAME)
+    check_camera_name(camera_name)
     info = CameraInfo(calibration.camera, calibration.image_size, camera_name)
     write_atomically(path, camera_info_text(info))
 
@@ -202,6 +202,17 @@ def parse_camera_info(text: str) -> CameraInfo:
     rectification = _numbers(entries, "rectification_matrix", (3, 3))
     projection = _numbers(entries, "projection_matrix", (3, 4))
     return CameraInfo(camera, size, name, rectification, projection)
+
+
+def check_camera_name(name: str) -> None:
+    """Refuse a name that camera_info_manager would refuse.
+
+    Raises
+    ------
+    InvalidInput
+        When there is anything but letters, digits and underscores in it.
+    """
+    _check_name(name, _NAME)
 
 
 def _check_name(name: str, allowed: re.Pattern[str]) -> None:

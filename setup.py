@@ -51,5 +51,5 @@ setup(
             "colcon-common-extensions>=0.3,<0.4",
         ],
     },
-    entry_points={"console_scripts": ["fewcal = fewcal_ros.cli:main"]},
+    entry_points={"console_scripts": ["fewcal = fewcal_ros.cli:main", "fewcal_node = fewcal_ros.node:main"]},
 )

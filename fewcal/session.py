@@ -279,9 +279,7 @@ class Session:
             return self._judged
         return calibrate(self._kept, self.image_size, self.method, self.priors, self.thresholds)
 
-    def configure(
-        self, views_required: int, method: str, thresholds: Thresholds, criteria: Criteria
-    ) -> None:
+    def configure(self, views_required: int, method: str, thresholds: Thresholds, criteria: Criteria) -> None:
         """Change what is asked for; the views stay, and are judged anew when the thresholds changed."""
         judge_anew = thresholds != self.thresholds
         self.views_required, self.method, self.thresholds = views_required, method, thresholds

@@ -49,6 +49,11 @@ class Mailbox:
         """Messages that gave way to newer ones before they were taken."""
         return self._dropped
 
+    @property
+    def closed(self) -> bool:
+        """Whether nothing will be taken any more."""
+        return self._closed
+
     def put(self, message: Any) -> None:
         """Drop a message in; never waits."""
         with self._changed:

@@ -47,7 +47,7 @@ class About:
     choices: tuple[str, ...] = ()
     read_only: bool = False
 
-    def checked(self, value: Any) -> Value:
+    def checked(self, value: Any) -> Any:
         """Check a value, taking a whole number for a real one.
 
         Raises
@@ -60,14 +60,14 @@ class About:
         if type(value) is not type(self.default):
             kind = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
             raise InvalidInput(f"{self.name} must be {kind[type(self.default)]}, not {value!r}.")
-        if self.bounds is not None and not self.bounds[0] <= value <= self.bounds[1]:
+        number: Any = value
+        if self.bounds is not None and not self.bounds[0] <= number <= self.bounds[1]:
             raise InvalidInput(
                 f"{self.name} must be from {self.bounds[0]:g} to {self.bounds[1]:g}, not {value!r}."
             )
         if self.choices and value not in self.choices:
             raise InvalidInput(f"{self.name} must be one of {', '.join(self.choices)}, not {value!r}.")
-        checked: Value = value
-        return checked
+        return value
 
 
 def _parameter(name: str, default: Value, description: str, **more: Any) -> Any:

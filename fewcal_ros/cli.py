@@ -56,8 +56,8 @@ The size of a board counts interior corners, where four squares meet: a board of
 _PLAY = """
 Publish a recording on its topics with its timing, on ROS 2. It needs rclpy and the recorded message types.
 
-It waits a few seconds until somebody subscribes, so that nothing is lost, and then plays all the same. Header
-stamps are those of the recording, in every round of --loop. SIGINT (Ctrl-C) and SIGTERM end it.
+It waits up to ten seconds until somebody subscribes, so that nothing is lost, and then plays all the same.
+Header stamps are those of the recording, in every round of --loop. SIGINT (Ctrl-C) and SIGTERM end it.
 
 examples:
   fewcal play arm.mcap

@@ -38,8 +38,8 @@ from .storage import RawMessage, Topic, plain_cdr
 
 _ROS2 = get_typestore(Stores.ROS2_JAZZY)
 
-SUBSCRIBER_WAIT_S = 5.0
-"""Longest wait for a first subscriber: discovery on one host takes well under a second, over WLAN a few."""
+SUBSCRIBER_WAIT_S = 10.0
+"""Longest wait for a first subscriber: Fast DDS repeats its announcement every 3 s if one gets lost."""
 
 _SETTLE_S = 0.5
 """Wait after the first subscriber: its own side may not have matched yet, and others may be about to."""
@@ -51,7 +51,7 @@ _QUEUE = 30
 """Messages kept for subscribers that are slow to acknowledge: a second of a usual camera."""
 
 _LAST_ACK_S = 1.0
-"""Wait at the end for subscribers to acknowledge the last messages; SIGTERM must end in two seconds."""
+"""Wait at the end for subscribers to acknowledge the last messages."""
 
 _LOOK_AHEAD_BYTES = 16_000_000
 """As much is read ahead to bring messages into the order of their times: several chunks of any writer."""
@@ -185,11 +185,16 @@ class _Player:
             next_start_s = self._round(start_s, wait, tell_damage=round_number == 0)
             if not self.published and next_start_s is not None:
                 raise RecordingError("No message on the chosen topics can be published; record them again.")
-            if next_start_s is None or not self._playback.loop:
+            if next_start_s is None:  # asked to end
+                break
+            if not self._playback.loop:
+                for publisher in self._publishers.values():
+                    publisher.wait_for_all_acked(Duration(seconds=_LAST_ACK_S / len(self._publishers)))
                 break
             start_s = next_start_s
-        for publisher in self._publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=_LAST_ACK_S / len(self._publishers)))
+        self._tell_of_rounds()
+
+    def _tell_of_rounds(self) -> None:
         for topic, number in self._left_out.items():
             self._tell(
                 f"{number} message{'s' * (number != 1)} on {topic} cannot be read as its type is defined here"

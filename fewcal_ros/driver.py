@@ -13,6 +13,8 @@ from sensor_msgs.srv import SetCameraInfo
 
 from .live import Refused
 
+SERVICE = "camera/set_camera_info"
+"""Where camera_info_manager offers it, beside a driver in the namespace camera."""
 FIND_TIMEOUT_S = 2.0
 """How long to look for the service: it takes DDS a moment to discover one that has just started."""
 ANSWER_TIMEOUT_S = 5.0
@@ -30,8 +32,9 @@ class Driver:
 
     def __init__(self, node: Node) -> None:
         self._client = node.create_client(
-            SetCameraInfo, "camera/set_camera_info", callback_group=MutuallyExclusiveCallbackGroup()
+            SetCameraInfo, SERVICE, callback_group=MutuallyExclusiveCallbackGroup()
         )
+        self._name = node.resolve_service_name(SERVICE)
         self._closing = threading.Event()
 
     def commit(self, info: CameraInfo) -> str:
@@ -42,10 +45,10 @@ class Driver:
         Refused
             When there is no such service, it refuses or it does not answer in time.
         """
-        name = self._client.srv_name
+        name = self._name
         self._wait(self._client.service_is_ready, FIND_TIMEOUT_S)
         if not self._client.service_is_ready():
-            raise Refused(f"There is no service {name}; start the driver, or remap camera/set_camera_info.")
+            raise Refused(f"There is no service {name}; start the driver, or remap {SERVICE}.")
         future = self._client.call_async(SetCameraInfo.Request(camera_info=info))
         self._wait(future.done, ANSWER_TIMEOUT_S)
         if not future.done():

@@ -159,7 +159,7 @@ class LiveCalibration:
             if self._request is not None:
                 raise Refused("Another capture is waiting for its image; call again when it has it.")
             number = self._mailbox.received
-            self._request = number, future
+            self._request = mine = number, future
         try:
             return future.result(timeout_s)
         except FutureTimeout:
@@ -172,7 +172,8 @@ class LiveCalibration:
             ) from None
         finally:
             with self._lock:
-                self._request = None
+                if self._request is mine:
+                    self._request = None
 
     def calibrate(self) -> Result:
         """Calibrate from the views kept so far.
@@ -254,9 +255,9 @@ class LiveCalibration:
         """End the worker, and let go whoever waits for it."""
         self._mailbox.close()
         with self._lock:
-            request = self._request
+            request, self._request = self._request, None
         if request is not None:
-            _answer(request[1], Refused("The node is ending."))
+            request[1].set_exception(Refused("The node is ending."))
         self._worker.join(JOIN_TIMEOUT_S)
 
     # What the worker does.
@@ -274,9 +275,7 @@ class LiveCalibration:
                 self._report(look)
 
     def _look_at(self, letter: Letter) -> Look:
-        with self._lock:
-            due = self._request is not None and self._request[0] < letter.number
-            request = self._request[1] if due and self._request is not None else None
+        request = self._claim(letter)
         try:
             frame = self._read(letter.message)
         except FewcalError as error:
@@ -292,6 +291,14 @@ class LiveCalibration:
             return Look(letter.message, frame, problem=str(error), stream_change=change)
         _answer(request, decision)
         return Look(letter.message, frame, decision, stream_change=change, result=result)
+
+    def _claim(self, letter: Letter) -> Future[Decision] | None:
+        """The capture that an image is for, if one was asked for before the image arrived."""
+        with self._lock:
+            if self._request is None or self._request[0] >= letter.number:
+                return None
+            (_, future), self._request = self._request, None
+            return future
 
     def _decide(self, frame: Frame, capture: bool) -> tuple[Decision | None, Session]:
         """What the session says to a frame; a view that it keeps is kept."""

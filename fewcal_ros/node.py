@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -110,18 +111,22 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         if self._settings.image_transport == "compressed":
             # As image_transport does it: remapping image remaps the compressed topic below it.
             kind, topic = CompressedImage, self.resolve_topic_name("image") + "/compressed"
-        self._subscription = self.create_subscription(
-            kind,
-            topic,
-            self._take_image,
-            QoSProfile(
-                depth=max(qos_profile_sensor_data.depth, self._settings.queue_size),
-                reliability=qos_profile_sensor_data.reliability,
-                durability=qos_profile_sensor_data.durability,
-            ),
-            callback_group=MutuallyExclusiveCallbackGroup(),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        qos = QoSProfile(
+            depth=max(qos_profile_sensor_data.depth, self._settings.queue_size),
+            reliability=qos_profile_sensor_data.reliability,
+            durability=qos_profile_sensor_data.durability,
         )
+        try:
+            self._subscription = self.create_subscription(
+                kind,
+                topic,
+                self._take_image,
+                qos,
+                callback_group=MutuallyExclusiveCallbackGroup(),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )
+        except (RuntimeError, ParameterException, InvalidQosOverridesError) as error:
+            raise InvalidInput(f"The QoS overrides of {topic} cannot be used: {error}") from None
 
     def _offer_services(self) -> None:
         # Those that wait for something outside have a group each, so that they keep nobody else waiting.
@@ -347,7 +352,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error))
     try:
         node = CalibrationNode()
-    except (FewcalError, InvalidQosOverridesError) as error:
+    except FewcalError as error:
         return _fail(str(error))
     executor = MultiThreadedExecutor(THREADS)
     executor.add_node(node)

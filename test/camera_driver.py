@@ -5,7 +5,7 @@ Each line of stdin is JSON:
     {"play": [0, 1, 2]}       publish these images once, with the stamps they were recorded with
     {"hold": 7}               publish this image twenty times a second, as a camera does that looks at a board
     {"hold": null}            stop that
-    {"blank": [w, h, encoding, frame_id]}   publish one grey image
+    {"blank": [w, h, encoding, frame_id]}   the same with a grey image
     {"answer": "accept"}      offer set_camera_info, and accept, refuse or never answer ("hang")
 
 "ready" is printed when a subscriber has been found, "done" after each command.
@@ -65,7 +65,7 @@ class Camera:
             type(self.images[0]), topic, QoSProfile(depth=100, reliability=policy)
         )
         self.reliable = reliable
-        self.held: int | None = None
+        self.held: Image | CompressedImage | None = None
         self.answer = ""
         self.never = threading.Event()
 
@@ -77,26 +77,22 @@ class Camera:
             assert self.publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
 
     def blank(self, width: int, height: int, encoding: str, frame_id: str) -> None:
-        image = Image(width=width, height=height, encoding=encoding, step=width)
+        self.held = image = Image(width=width, height=height, encoding=encoding, step=width)
         image.header.frame_id = frame_id
-        image.header.stamp = self.node.get_clock().now().to_msg()
         image.data = array.array("B", bytes([128]) * (width * height))
-        self.publisher.publish(image)
 
     def repeat(self) -> None:
         if self.held is not None:
-            image = self.images[self.held]
-            image.header.stamp = self.node.get_clock().now().to_msg()
-            self.publisher.publish(image)
+            self.held.header.stamp = self.node.get_clock().now().to_msg()
+            self.publisher.publish(self.held)
 
     def offer(self, answer: str) -> None:
+        if not self.answer:
+            group = ReentrantCallbackGroup()
+            self.node.create_service(
+                SetCameraInfo, "camera/set_camera_info", self.set_camera_info, callback_group=group
+            )
         self.answer = answer
-        self.node.create_service(
-            SetCameraInfo,
-            "camera/set_camera_info",
-            self.set_camera_info,
-            callback_group=ReentrantCallbackGroup(),
-        )
 
     def set_camera_info(
         self, request: SetCameraInfo.Request, response: SetCameraInfo.Response
@@ -111,7 +107,8 @@ class Camera:
         if "play" in command:
             self.play(command["play"])
         elif "hold" in command:
-            self.held = command["hold"]
+            index = command["hold"]
+            self.held = None if index is None else self.images[index]
         elif "blank" in command:
             self.blank(*command["blank"])
         else:

@@ -1,4 +1,4 @@
-"""A robot cell for the tests of the node: node, camera driver and client, each a process, in a domain of their own."""
+"""A robot cell for the tests of the node: node, camera driver and client, in a ROS domain of their own."""
 
 from __future__ import annotations
 
@@ -93,9 +93,9 @@ class CameraProcess(Process):
         command = [sys.executable, str(HERE / "camera_driver.py"), str(BAGS / recording), "--topic", topic]
         super().__init__([*command, *["--reliable"] * reliable], environment)
         self.told = 0
-        wait_until(lambda: "ready\n" in self.out, "a subscriber of the camera")
 
     def tell(self, **command: Any) -> None:
+        wait_until(lambda: "ready\n" in self.out, f"a subscriber of the camera {self.err}")
         self.process.stdin.write(json.dumps(command) + "\n")
         self.process.stdin.flush()
         self.told += 1
@@ -148,7 +148,7 @@ class Client:
         return self.listen(Image, "/fewcal/image_annotated")
 
     def values(self) -> dict[str, str]:
-        """The newest diagnostics, with the keys `level`, `message`, `name` and `hardware_id` among them."""
+        """The newest diagnostics, with the keys `level`, `message`, `name` and `hardware id` among them."""
         if not self.diagnostics:
             return {}
         (status,) = self.diagnostics[-1].status
@@ -156,7 +156,7 @@ class Client:
             "level": {b"\0": "OK", b"\1": "WARN", b"\2": "ERROR"}[status.level],
             "message": status.message,
             "name": status.name,
-            "hardware_id": status.hardware_id,
+            "hardware id": status.hardware_id,
         }
         return {value.key: value.value for value in status.values} | more
 

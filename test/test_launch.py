@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import re
 import signal
 import subprocess
 import sys
@@ -115,3 +116,30 @@ def test_the_node_starts_from_each_parameter_file(config: Path, tmp_path: Path) 
     assert parameters_of(config)["board"] in lines[-1]
     if "compressed" in config.stem:
         assert "/image/compressed" in lines[-1]
+
+
+def test_the_documentation_lists_every_parameter_as_it_is_declared() -> None:
+    rows = {
+        cells[0].strip("`"): cells
+        for line in (ROOT / "doc" / "node.md").read_text().split("## Parameters")[1].splitlines()
+        if line.startswith("| `")
+        for cells in [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]]
+    }
+    assert rows.keys() == ABOUT.keys()
+    kinds = {str: "string", bool: "bool", int: "integer", float: "double"}
+    for name, about in ABOUT.items():
+        _, kind, default, allowed, read_only, _ = rows[name]
+        assert kind == kinds[type(about.default)], name
+        shown = str(about.default).lower() if isinstance(about.default, bool) else about.default
+        shown = f"{shown:g}" if isinstance(shown, float) else str(shown)
+        assert default.strip("`") == shown, name
+        least_to_largest = f"{about.bounds[0]:g} to {about.bounds[1]:g}" if about.bounds else ""
+        assert allowed.replace("`", "") == (", ".join(about.choices) or least_to_largest), name
+        assert read_only == ("yes" if about.read_only else "no"), name
+
+
+def test_the_tutorial_shows_the_program_that_is_tested() -> None:
+    program = (ROOT / "doc" / "examples" / "robot_program.py").read_text()
+    tutorial = (ROOT / "doc" / "tutorial_wrist_camera.md").read_text()
+    shown = tutorial.split("```python\n")[1].split("```")[0]
+    assert shown in program

@@ -53,6 +53,9 @@ _QUEUE = 30
 _LAST_ACK_S = 1.0
 """Wait at the end for subscribers to acknowledge the last messages."""
 
+_LONGEST_WAIT_S = 1e6
+"""A damaged time can lie centuries ahead, which is more than the system can wait for."""
+
 _LOOK_AHEAD_BYTES = 16_000_000
 """As much is read ahead to bring messages into the order of their times: several chunks of any writer."""
 
@@ -279,7 +282,7 @@ def _until_signal() -> Iterator[Wait]:
             number: signal.signal(number, lambda *_: None) for number in (signal.SIGINT, signal.SIGTERM)
         }
         try:
-            yield lambda seconds: bool(select.select([reader], [], [], seconds)[0])
+            yield lambda seconds: bool(select.select([reader], [], [], min(seconds, _LONGEST_WAIT_S))[0])
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)

@@ -322,8 +322,8 @@ def test_a_loop_begins_anew_with_the_same_stamps_until_it_is_ended(
 def test_a_signal_ends_it_in_two_seconds_with_exit_code_0(
     number: signal.Signals, heard: bool, tmp_path: Path, listener: Listener
 ) -> None:
-    # After the first message the next is an hour away; without a subscriber it is waiting for one.
-    bag = write_mcap(tmp_path, [image(0), replace(image(1), log_time_ns=START_NS + 3600 * 10**9)])
+    # After the first message the next is centuries away; without a subscriber it is waiting for one.
+    bag = write_mcap(tmp_path, [image(0), replace(image(1), log_time_ns=2**64 - 1)])
     if heard:
         listener.subscribe(TOPIC, Image)
     with playing(bag) as process:

@@ -285,12 +285,16 @@ class LiveCalibration:
         change = self._stream.note(letter.message, frame)
         try:
             decision, session = self._decide(frame, request is not None)
-            result = self._by_itself(session)
         except FewcalError as error:
             _answer(request, error)
             return Look(letter.message, frame, problem=str(error), stream_change=change)
         _answer(request, decision)
-        return Look(letter.message, frame, decision, stream_change=change, result=result)
+        result, problem = None, ""
+        try:
+            result = self._by_itself(session)
+        except FewcalError as error:
+            problem = str(error)
+        return Look(letter.message, frame, decision, problem, change, result)
 
     def _claim(self, letter: Letter) -> Future[Decision] | None:
         """The capture that an image is for, if one was asked for before the image arrived."""
@@ -315,12 +319,15 @@ class LiveCalibration:
             return session.frames.look(*arguments), before
         else:
             return None, before
-        if decision.kept:
-            with self._lock:
-                if self._session is not before:
-                    raise Refused("The views were changed while this image was looked at; try again.")
+        if not decision.kept:
+            return decision, before
+        with self._lock:
+            if self._session is before:
                 self._session, self._frame_id = session, frame.frame_id
-        return decision, self._session
+                return decision, session
+        if capture:
+            raise Refused("The views were changed while this image was looked at; capture again.")
+        return None, before
 
     def _by_itself(self, session: Session) -> Result | None:
         """Calibrate when there are enough views, once for each set of them."""

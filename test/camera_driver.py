@@ -100,7 +100,7 @@ class Camera:
         if self.answer == "hang":
             self.never.wait(TIMEOUT_S)
         response.success = self.answer == "accept"
-        response.status_message = f"{request.camera_info.width} wide, fx {request.camera_info.k[0]!r}"
+        response.status_message = f"{request.camera_info.width} wide, fx {float(request.camera_info.k[0])!r}"
         return response
 
     def obey(self, command: dict[str, object]) -> None:

@@ -149,6 +149,7 @@ def main() -> None:
         print("done", flush=True)
     camera.never.set()
     executor.shutdown(1)
+    camera.node.destroy_node()
     rclpy.shutdown()
 
 

@@ -169,6 +169,7 @@ class Client:
     def close(self) -> None:
         self.executor.shutdown(1)
         self.spinner.join(TIMEOUT_S)
+        self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 
 
@@ -188,7 +189,7 @@ class Cell:
         process = Process(
             [*command, *(part for option in options for part in ("-p", option))], self.environment
         )
-        self.stack.callback(process.end, signal.SIGKILL)
+        self.stack.callback(process.end, signal.SIGTERM)
         return process
 
     def start_camera(

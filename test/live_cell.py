@@ -122,11 +122,15 @@ class Client:
 
     def call(self, name: str, kind: Any = Trigger, request: Any = None) -> Any:
         """Call a service of the node, waiting for it to appear."""
-        client = self.node.create_client(kind, f"/fewcal/{name}")
-        assert client.wait_for_service(TIMEOUT_S), name
-        future = client.call_async(request or kind.Request())
+        future = self.send(name, kind, request)
         wait_until(future.done, f"an answer of {name}")
         return future.result()
+
+    def send(self, name: str, kind: Any = Trigger, request: Any = None) -> Any:
+        """Call a service without waiting for the answer; returns its future."""
+        client = self.node.create_client(kind, f"/fewcal/{name}")
+        assert client.wait_for_service(TIMEOUT_S), name
+        return client.call_async(request or kind.Request())
 
     def set(self, **values: Any) -> Any:
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]

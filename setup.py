@@ -4,6 +4,8 @@ Lower bounds are the versions that Ubuntu 24.04 and so ROS 2 Jazzy ship, or the 
 `make test-oldest` runs the suite on them. Upper bounds stop at the next major version, which may break.
 """
 
+from pathlib import Path
+
 from setuptools import setup
 
 PACKAGE = "fewcal"
@@ -21,6 +23,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fewcal"]),
         ("share/fewcal", ["package.xml"]),
+        ("share/fewcal/launch", ["launch/fewcal.launch.py"]),
+        ("share/fewcal/config", sorted(str(path) for path in Path("config").glob("*.yaml"))),
     ],
     zip_safe=False,
     python_requires=">=3.10",
@@ -51,5 +55,5 @@ setup(
             "colcon-common-extensions>=0.3,<0.4",
         ],
     },
-    entry_points={"console_scripts": ["fewcal = fewcal_ros.cli:main"]},
+    entry_points={"console_scripts": ["fewcal = fewcal_ros.cli:main", "fewcal_node = fewcal_ros.node:main"]},
 )

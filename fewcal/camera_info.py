@@ -205,7 +205,13 @@ def parse_camera_info(text: str) -> CameraInfo:
 
 
 def check_camera_name(name: str) -> None:
-    """Raise InvalidInput unless a name may stand in a camera_info file: letters, digits, underscores."""
+    """Refuse a name that camera_info_manager would refuse.
+
+    Raises
+    ------
+    InvalidInput
+        When there is anything but letters, digits and underscores in it.
+    """
     _check_name(name, _NAME)
 
 

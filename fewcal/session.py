@@ -178,6 +178,9 @@ class Session:
     or when the camera is usable already and stays so.
     When there are enough, a better view takes the place of the one it makes superfluous.
 
+    No list is ever changed in place, so that ``copy.copy`` of a session is one that can go its own way; the
+    two share the frame filter until either is reset.
+
     Parameters
     ----------
     board : Chessboard
@@ -214,6 +217,11 @@ class Session:
     def views(self) -> tuple[View, ...]:
         """The views kept so far."""
         return tuple(self._kept)
+
+    @property
+    def estimate(self) -> Calibration | None:
+        """What map makes of the views kept so far; None when they make no camera."""
+        return self._judged
 
     @property
     def complete(self) -> bool:
@@ -274,6 +282,14 @@ class Session:
         if self.method == "map" and self._judged is not None:
             return self._judged
         return calibrate(self._kept, self.image_size, self.method, self.priors, self.thresholds)
+
+    def configure(self, views_required: int, method: str, thresholds: Thresholds, criteria: Criteria) -> None:
+        """Change what is asked for; the views stay, and are judged anew when the thresholds changed."""
+        judge_anew = thresholds != self.thresholds
+        self.views_required, self.method, self.thresholds = views_required, method, thresholds
+        self.frames.criteria = criteria
+        if judge_anew and self.image_size is not None:
+            self._keep(self._kept, self.image_size)
 
     def remove_last(self) -> None:
         """Forget the view kept last, if there is one."""

@@ -6,7 +6,6 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 
-import zstandard
 from rosbags.typesys import Stores, get_typestore
 
 from fewcal.errors import InvalidInput
@@ -15,7 +14,7 @@ from .encoded import decode_grey
 from .errors import RecordingError
 from .messages import IMAGE_TYPES, Frame, stamp_ns
 from .recordings import Recording, Source, merge_topics, open_source, readable
-from .storage import ZSTD_MAGIC, RawMessage, Topic
+from .storage import RawMessage, Topic, plain_cdr
 
 # The image types have had the same fields in every distribution, so one of each kind serves for all.
 _ROS2 = get_typestore(Stores.ROS2_HUMBLE)
@@ -170,12 +169,7 @@ def _frame(raw: RawMessage, place: str) -> Frame:
         if raw.is_ros1:
             msg = _ROS1.deserialize_ros1(raw.data, raw.type)
         else:
-            # rosbag2 can compress message by message; CDR never begins like zstd.
-            compressed = raw.data.startswith(ZSTD_MAGIC)
-            data = (
-                zstandard.ZstdDecompressor().decompressobj().decompress(raw.data) if compressed else raw.data
-            )
-            msg = _ROS2.deserialize_cdr(data, raw.type)
+            msg = _ROS2.deserialize_cdr(plain_cdr(raw.data), raw.type)
         stamp = stamp_ns(msg) or raw.log_time_ns
         frame_id = str(msg.header.frame_id)  # type: ignore[attr-defined]
     except Exception as error:  # a damaged message makes the deserialiser raise nearly anything

@@ -88,11 +88,11 @@ class Recording:
         if self.damage and not any(topic.count for topic in self.contents.topics):
             raise RecordingError(f"{path} is damaged and no message in it can be read; record it again.")
 
-    def messages(self, topic: str) -> Iterator[RawMessage]:
-        """Messages of a topic; `damage` says afterwards what could not be read."""
+    def messages(self, *topics: str) -> Iterator[RawMessage]:
+        """Messages of some topics; `damage` says afterwards what could not be read."""
         with readable(self.path), _open_storage(self.path) as storage:
             self.damage = storage.damage
-            yield from storage.messages(topic)
+            yield from storage.messages(*topics)
 
 
 @contextmanager

@@ -31,6 +31,7 @@ class Topic:
 class RawMessage(NamedTuple):
     """A message as it was recorded: not yet deserialised, in CDR or the serialisation of ROS 1."""
 
+    topic: str
     log_time_ns: int
     type: str
     is_ros1: bool
@@ -74,8 +75,8 @@ class Storage(Protocol):
     def contents(self) -> Contents:
         """Topics and times; from the index where there is one, else by reading through the file."""
 
-    def messages(self, topic: str) -> Iterator[RawMessage]:
-        """All messages of a topic, one after the other."""
+    def messages(self, *topics: str) -> Iterator[RawMessage]:
+        """All messages of some topics, one after the other."""
 
 
 @dataclass
@@ -140,6 +141,11 @@ def decompress(compression: str, data: bytes) -> bytes:
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+
+def plain_cdr(data: bytes) -> bytes:
+    """A message as it was before rosbag2 compressed it by itself; CDR never begins like zstd."""
+    return decompress("zstd", data) if data.startswith(ZSTD_MAGIC) else data
 
 
 def decompress_file(path: Path, target: Path, damage: Damage) -> None:

@@ -59,14 +59,16 @@ class McapStorage:
                 tally.add(message.channel, message.log_time_ns)
         return summarise({key: (c.topic, self._type(c)) for key, c in self._channels.items()}, tally)
 
-    def messages(self, topic: str) -> Iterator[RawMessage]:
-        """Messages in the order of the file, chunks without the topic left out where the index tells."""
-        wanted = {key for key, channel in self._channels.items() if channel.topic == topic}
+    def messages(self, *topics: str) -> Iterator[RawMessage]:
+        """Messages in the order of the file, chunks without the topics left out where the index tells."""
+        wanted = {key for key, channel in self._channels.items() if channel.topic in topics}
         for message in self._walk_file(self._chunks_without(wanted)):
             channel = self._channels.get(message.channel)
-            if channel is not None and channel.topic == topic:
+            if channel is not None and channel.topic in topics:
                 is_ros1 = channel.message_encoding == "ros1"
-                yield RawMessage(message.log_time_ns, self._type(channel), is_ros1, message.data)
+                yield RawMessage(
+                    channel.topic, message.log_time_ns, self._type(channel), is_ros1, message.data
+                )
 
     def _type(self, channel: Channel) -> str:
         schema = self._schemas.get(channel.schema_id)

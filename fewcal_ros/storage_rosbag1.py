@@ -62,15 +62,15 @@ class Rosbag1Storage:
             tally.add(message.connection, message.time_ns)
         return summarise(self._connections, tally)
 
-    def messages(self, topic: str) -> Iterator[RawMessage]:
-        """Messages in the order of the file, chunks without the topic left out where the index tells."""
-        wanted = {key for key, (name, _) in self._connections.items() if name == topic}
+    def messages(self, *topics: str) -> Iterator[RawMessage]:
+        """Messages in the order of the file, chunks without the topics left out where the index tells."""
+        wanted = {key for key, (name, _) in self._connections.items() if name in topics}
         chunks = self._index.chunks if self._index else {}
         skip = frozenset(start for start, counts in chunks.items() if wanted.isdisjoint(counts))
         for message in self._walk_file(skip):
             name, msgtype = self._connections.get(message.connection, ("", ""))
-            if name == topic:
-                yield RawMessage(message.time_ns, full_type(msgtype), True, message.data)
+            if name in topics:
+                yield RawMessage(name, message.time_ns, full_type(msgtype), True, message.data)
 
     def _walk_file(self, skip: frozenset[int] = frozenset()) -> Iterator[_Message]:
         with self._path.open("rb") as file:

@@ -39,16 +39,17 @@ class SqliteStorage:
                 tally.add(topic, time_ns)
         return summarise(self._topics, tally)
 
-    def messages(self, topic: str) -> Iterator[RawMessage]:
+    def messages(self, *topics: str) -> Iterator[RawMessage]:
         """Messages in order of time, each fetched on its own so that a damaged one costs no other."""
-        wanted = {key for key, (name, _) in self._topics.items() if name == topic}
+        wanted = {key for key, (name, _) in self._topics.items() if name in topics}
         with closing(self._connect()) as database:
             rows = until_damage(_rows(database), self.damage)
             order = sorted((time_ns, row, key) for row, key, time_ns in rows if key in wanted)
             for time_ns, row, key in order:
                 data = self._data(database, row)
                 if data is not None:
-                    yield RawMessage(time_ns, full_type(self._topics[key][1]), False, data)
+                    name, msgtype = self._topics[key]
+                    yield RawMessage(name, time_ns, full_type(msgtype), False, data)
 
     def _data(self, database: sqlite3.Connection, row: int) -> bytes | None:
         try:

@@ -97,6 +97,9 @@ def test_colcon_builds_and_the_command_runs_from_its_install_space(tmp_path: Pat
     library = next(prefix.glob("lib/python3*/site-packages"))
     assert (prefix / "share/fewcal/package.xml").read_text() == (ROOT / "package.xml").read_text()
     assert (prefix / "share/ament_index/resource_index/packages/fewcal").is_file()
+    for folder in ("launch", "config"):
+        installed = {path.name for path in (prefix / "share/fewcal" / folder).iterdir()}
+        assert installed == {path.name for path in (ROOT / folder).iterdir() if path.is_file()}
     for package in ("fewcal", "fewcal_ros"):
         sources = {path.name for path in (ROOT / package).iterdir() if path.suffix in (".py", ".typed")}
         assert {path.name for path in (library / package).iterdir()} >= sources

@@ -1,0 +1,388 @@
+"""The node: images in, CameraInfo out. It translates and decides nothing; fewcal_ros.live does the work."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_profile_sensor_data,
+)
+from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_srvs.srv import Trigger
+
+from fewcal.camera_info import camera_info_text
+from fewcal.errors import FewcalError, InvalidInput
+from fewcal.files import write_atomically
+
+from .annotation import RESIDUAL_SCALE, Mood, annotate
+from .driver import Driver
+from .health import Level, focal_text, health_values, judge_health
+from .live import LiveCalibration, Look, Refused, Result
+from .messages import Frame, compressed_to_grey, image_to_grey, stamp_ns
+from .outgoing import (
+    camera_info_message,
+    camera_info_of,
+    diagnostics_message,
+    header_of,
+    image_message,
+)
+from .parameters import declare_parameters
+
+ENDED, BAD_INPUT, FAILED = 0, 2, 1
+"""Exit codes: ended by a signal as asked; a parameter or argument cannot be used; anything else."""
+THREADS = 8
+"""One for each callback group that can be busy at once: three that may wait in services, and the others."""
+SHUTDOWN_S = 1.0
+"""How long the callbacks that still run may take to end."""
+DIAGNOSTICS_PERIOD_S = 1.0
+RELIABLE = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+"""A subscriber that comes late receives the last message all the same."""
+
+
+class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed wherever this is checked
+    """Subscribes to images, gathers views of a board, and publishes the camera.
+
+    Raises
+    ------
+    InvalidInput
+        When a parameter cannot be used.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("fewcal")
+        self._settings = declare_parameters(self)
+        self._released: CameraInfo | None = None
+        self._problem = ""
+        self._decode = image_to_grey if self._settings.image_transport == "raw" else compressed_to_grey
+        self._camera_info = self.create_publisher(CameraInfo, "~/camera_info", LATCHED)
+        self._annotated = self.create_publisher(Image, "~/image_annotated", RELIABLE)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._per_image = (
+            self.create_publisher(CameraInfo, "camera_info", 10)
+            if self._settings.publish_camera_info
+            else None
+        )
+        self._driver = Driver(self)
+        self._subscribe()
+        self._offer_services()
+        self._live = LiveCalibration(
+            self._settings, self._read, self._report, lambda: bool(self._annotated.get_subscription_count())
+        )
+        self.create_timer(
+            DIAGNOSTICS_PERIOD_S,
+            self._publish_diagnostics,
+            callback_group=MutuallyExclusiveCallbackGroup(),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),  # simulated time may stand still
+        )
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._apply_parameters)
+        self.get_logger().info(
+            f"Waiting for images on {self._subscription.topic_name} that show {self._settings.board}."
+        )
+
+    def close(self) -> None:
+        """End the worker and whatever waits; call before the node is destroyed."""
+        self._driver.close()
+        self._live.close()
+
+    def _subscribe(self) -> None:
+        kind, topic = Image, "image"
+        if self._settings.image_transport == "compressed":
+            # As image_transport does it: remapping image remaps the compressed topic below it.
+            kind, topic = CompressedImage, self.resolve_topic_name("image") + "/compressed"
+        qos = QoSProfile(
+            depth=max(qos_profile_sensor_data.depth, self._settings.queue_size),
+            reliability=qos_profile_sensor_data.reliability,
+            durability=qos_profile_sensor_data.durability,
+        )
+        try:
+            self._subscription = self.create_subscription(
+                kind,
+                topic,
+                self._take_image,
+                qos,
+                callback_group=MutuallyExclusiveCallbackGroup(),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )
+        except (RuntimeError, ParameterException, InvalidQosOverridesError) as error:
+            raise InvalidInput(f"The QoS overrides of {topic} cannot be used: {error}") from None
+
+    def _offer_services(self) -> None:
+        # Those that wait for something outside have a group each, so that they keep nobody else waiting.
+        quick = MutuallyExclusiveCallbackGroup()
+        for name, action, group in (
+            ("capture", self._capture, MutuallyExclusiveCallbackGroup()),
+            ("commit", self._commit, MutuallyExclusiveCallbackGroup()),
+            ("calibrate", self._calibrate, quick),
+            ("reset", self._reset, quick),
+            ("remove_last", self._remove_last, quick),
+            ("save", self._save, quick),
+        ):
+            self.create_service(Trigger, f"~/{name}", self._answer_with(action), callback_group=group)
+
+    def _answer_with(self, action: Callable[[], str]) -> Callable[[Any, Any], Any]:
+        """A service's callback: what the action returns is the result, what it raises the reason."""
+
+        def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                response.message, response.success = action(), True
+            except FewcalError as error:
+                response.message, response.success = str(error), False
+            self._publish_diagnostics()
+            return response
+
+        return answer
+
+    # Images
+
+    def _take_image(self, message: Any) -> None:
+        self._live.offer(message)
+        if self._per_image is not None and (info := self._released) is not None:
+            kind = self._live.status().stream.kind
+            size = (message.width, message.height) if isinstance(message, Image) else kind and kind.size
+            if size == (info.width, info.height):
+                self._per_image.publish(
+                    self._with_header(info, message.header.stamp, message.header.frame_id)
+                )
+
+    def _read(self, message: Any) -> Frame:
+        stamp = stamp_ns(message) or self.get_clock().now().nanoseconds
+        source = f"{self._subscription.topic_name}@{stamp // 1_000_000_000}.{stamp % 1_000_000_000:09d}"
+        return Frame(self._decode(message), stamp, message.header.frame_id, source)
+
+    def _report(self, look: Look) -> None:
+        """Tell the world what became of an image; called by the worker."""
+        decision = look.decision
+        kept = decision is not None and decision.kept
+        if look.stream_change:
+            self.get_logger().warning(look.stream_change)
+        news = kept or look.result is not None or bool(look.stream_change)
+        if look.problem and look.problem != self._problem:
+            self.get_logger().error(look.problem)
+            news = True
+        elif decision is not None and kept:
+            self.get_logger().info(decision.message)
+        self._problem = look.problem
+        if look.result is not None:
+            self._release(look.result)
+        if news:
+            self._publish_diagnostics()
+        if look.frame is not None and self._annotated.get_subscription_count():
+            self._publish_annotated(look, look.frame)
+
+    def _publish_annotated(self, look: Look, frame: Frame) -> None:
+        status = self._live.status()
+        level, sentence = judge_health(status)
+        found = None if look.decision is None or look.decision.detection is None else look.decision.detection
+        picture = annotate(
+            frame.image,
+            [
+                sentence,
+                f"View {len(status.views)} of {status.parameters.views_required}. "
+                + (look.decision.message if look.decision else ""),
+                f"{status.received} images, {status.dropped} dropped. Residuals x{RESIDUAL_SCALE:g}.",
+            ],
+            {Level.OK: Mood.GOOD, Level.WARN: Mood.UNDER_WAY, Level.ERROR: Mood.BAD}[level],
+            found.view if found else None,
+            look.decision is not None and look.decision.kept,
+            status.result.calibration if status.result else status.estimate,
+        )
+        self._annotated.publish(image_message(picture, look.message.header))
+
+    # Results
+
+    def _release(self, result: Result) -> None:
+        """Publish a camera, unless the verdict is against it."""
+        calibration = result.calibration
+        if not calibration.verdict.usable and not self._settings.publish_unusable:
+            self.get_logger().warning("Not usable, not published: " + " ".join(calibration.verdict.reasons))
+            return
+        self._released = self._message_of(result)
+        self._camera_info.publish(self._released)
+        self.get_logger().info(f"Calibrated from {len(calibration.views)} views: {focal_text(calibration)}.")
+
+    def _message_of(self, result: Result) -> CameraInfo:
+        parameters = self._settings
+        info = camera_info_of(result.calibration, parameters.camera_name, parameters.rectify_alpha)
+        stamp = result.calibration.views[-1].stamp_ns or 0
+        return camera_info_message(info, header_of(stamp, parameters.frame_id or result.frame_id))
+
+    def _with_header(self, info: CameraInfo, stamp: Any, frame_id: str) -> CameraInfo:
+        copied = CameraInfo(
+            width=info.width,
+            height=info.height,
+            distortion_model=info.distortion_model,
+            d=info.d,
+            k=info.k,
+            r=info.r,
+            p=info.p,
+        )
+        copied.header.stamp = stamp
+        copied.header.frame_id = self._settings.frame_id or frame_id
+        return copied
+
+    def _usable(self) -> Result:
+        """The calibration, if it may be given away."""
+        result = self._live.current()
+        verdict = result.calibration.verdict
+        if not verdict.usable and not self._settings.publish_unusable:
+            raise Refused(
+                f"The camera is not usable. {' '.join(verdict.reasons)} (publish_unusable gives it away "
+                "all the same.)"
+            )
+        return result
+
+    # Services: each returns its result as a sentence or raises the reason.
+
+    def _capture(self) -> str:
+        decision = self._live.capture()
+        if not decision.kept or decision.detection is None:
+            raise Refused(decision.message)
+        estimate = self._live.status().estimate
+        tilt = ""
+        if estimate is not None and estimate.views[-1] is decision.detection.view:
+            tilt = f"tilt {estimate.tilts_deg[-1]:.0f} deg, "
+        sharpness = f"sharpness {decision.detection.sharpness:.2f} /px"
+        return f"{decision.message} It has {tilt}{sharpness}; {focal_text(estimate)}."
+
+    def _calibrate(self) -> str:
+        result = self._live.calibrate()
+        self._release(result)
+        calibration = result.calibration
+        if not calibration.verdict.usable:
+            raise Refused("Not usable: " + " ".join(calibration.verdict.reasons))
+        count = len(calibration.views)
+        return (
+            f"Calibrated from {count} view{'s' * (count != 1)}: {focal_text(calibration)}, "
+            f"rms {calibration.rms:.3f} px."
+        )
+
+    def _reset(self) -> str:
+        self._live.reset()
+        self._released = None
+        return "All views and the calibration are forgotten."
+
+    def _remove_last(self) -> str:
+        left = self._live.remove_last()
+        return f"The last view is forgotten, {left} view{'s are' if left != 1 else ' is'} left."
+
+    def _save(self) -> str:
+        result, parameters = self._usable(), self._settings
+        info = camera_info_of(result.calibration, parameters.camera_name, parameters.rectify_alpha)
+        path = parameters.save_path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise Refused(f"The folder {path.parent} cannot be made: {error.strerror}.") from None
+        write_atomically(path, camera_info_text(info))
+        return f"Saved to {path}."
+
+    def _commit(self) -> str:
+        return self._driver.commit(self._message_of(self._usable()))
+
+    # State
+
+    def _publish_diagnostics(self) -> None:
+        status = self._live.status()
+        level, sentence = judge_health(status)
+        self._diagnostics.publish(
+            diagnostics_message(
+                self.get_clock().now().to_msg(),
+                f"{self.get_name()}: calibration",
+                self._settings.camera_name,
+                level,
+                sentence,
+                health_values(status),
+            )
+        )
+
+    def _check_parameters(self, changes: Sequence[Parameter]) -> SetParametersResult:
+        try:
+            self._settings.changed({change.name: change.value for change in changes})
+        except InvalidInput as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply_parameters(self, changes: Sequence[Parameter]) -> None:
+        self._settings = self._settings.changed({change.name: change.value for change in changes})
+        self._live.configure(self._settings)
+        self._publish_diagnostics()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Those of the process when left out.
+
+    Returns
+    -------
+    int
+        The exit code: 0 when ended by a signal, 2 when a parameter or argument cannot be used.
+    """
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # arguments or a parameter file that ROS cannot read
+        return _fail(str(error))
+    try:
+        node = CalibrationNode()
+    except FewcalError as error:
+        return _fail(str(error))
+    executor = MultiThreadedExecutor(THREADS)
+    executor.add_node(node)
+    failures: list[Exception] = []
+
+    def spin() -> None:
+        try:
+            executor.spin()
+        except Exception as error:
+            failures.append(error)
+            stop.set()
+
+    spinner = threading.Thread(target=spin, name="fewcal executor")
+    spinner.start()
+    stop.wait()
+    node.close()
+    executor.shutdown(SHUTDOWN_S)
+    spinner.join(SHUTDOWN_S)
+    node.destroy_node()
+    rclpy.shutdown()
+    for failure in failures:
+        print(f"fewcal_node: {type(failure).__name__}: {failure}", file=sys.stderr)
+    return FAILED if failures else ENDED
+
+
+def _fail(sentence: str) -> int:
+    print("fewcal_node:", " ".join(sentence.splitlines()), file=sys.stderr)
+    rclpy.try_shutdown()
+    return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from board_frames import pair
+from board_pictures import BOARD
+
+from fewcal.session import Session
+from fewcal_ros.annotation import FONT_PX, GREEN, LINES, RED, WHITE, WIDTH_PX, Mood, annotate
+
+
+def count(picture, colour):
+    return int((np.abs(picture.astype(int) - colour).max(axis=2) < 40).sum())
+
+
+@pytest.fixture(scope="module")
+def session():
+    session = Session(BOARD)
+    for image in pair():
+        assert session.capture(image).kept
+    return session
+
+
+def test_corners_views_and_words_are_drawn(session):
+    image = pair()[1]
+    bare = annotate(image, [], Mood.BAD)
+    height, width = image.shape
+    assert bare.shape == (round(height * WIDTH_PX / width) + LINES * FONT_PX + 12, WIDTH_PX, 3)
+    assert bare.dtype == np.uint8
+    words = annotate(image, ["Failed", "why"], Mood.BAD)
+    assert count(bare, RED) == 0 < count(words, RED)
+    with_corners = annotate(image, [], Mood.GOOD, session.views[1], True)
+    assert count(with_corners, GREEN) > 50 * len(session.views[1]) > count(bare, GREEN)
+    everything = annotate(image, [], Mood.GOOD, session.views[1], True, session.estimate)
+    assert count(everything, WHITE) > count(with_corners, WHITE) + 100
+
+
+def test_the_first_corner_is_drawn_where_it_is(session):
+    image, view = pair()[1], session.views[1]
+    change = annotate(image, [], Mood.GOOD, view, True) != annotate(image, [], Mood.GOOD)
+    x, y = (view.image_points[0] + 0.5) * WIDTH_PX / image.shape[1] - 0.5
+    rows, columns = np.nonzero(change.any(axis=2))
+    near = np.hypot(columns - x, rows - y) < 12
+    assert np.abs([columns[near].mean() - x, rows[near].mean() - y]).max() < 1.5
+
+
+def test_sixteen_bit_and_any_length_of_text_will_do():
+    image = np.zeros((30, 40), np.uint16)
+    image[:, 20:] = 1000
+    picture = annotate(image, ["long " * 400], Mood.UNDER_WAY)
+    assert picture.shape[1] == WIDTH_PX
+    assert picture[:600, 600:].min() > 200 > 50 > picture[:600, :300].max()
+    assert annotate(np.zeros((1, 5000), np.uint8), [], Mood.GOOD).shape[1] == WIDTH_PX

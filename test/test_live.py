@@ -1,0 +1,184 @@
+"""The live road without ROS: the images are arrays, and what is dropped in is looked at by the worker."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from queue import Queue
+from types import SimpleNamespace
+
+import pytest
+from board_frames import PERIOD_NS, empty, flat, pair
+from board_pictures import BOARD
+
+from fewcal.errors import InvalidInput
+from fewcal.session import Session
+from fewcal_ros.health import Level, health_values, judge_health
+from fewcal_ros.live import LiveCalibration, Look, Refused
+from fewcal_ros.messages import Frame
+from fewcal_ros.parameters import Parameters
+
+TIMEOUT_S = 60
+
+
+class Bench:
+    """A live calibration whose looks come out of a queue."""
+
+    def __init__(self, **values: object) -> None:
+        self.looks: Queue[Look] = Queue()
+        self.gate = threading.Event()
+        self.gate.set()
+        self.count = 0
+        parameters = Parameters(board=str(BOARD), queue_size=100).changed(values)
+        self.live = LiveCalibration(parameters, self.read, self.looks.put, lambda: False)
+
+    def read(self, message: SimpleNamespace) -> Frame:
+        assert self.gate.wait(TIMEOUT_S)
+        if message.image is None:
+            raise InvalidInput("This is no image.")
+        return Frame(message.image, message.stamp_ns, "camera", "test")
+
+    def offer(self, *images: object, apart_ns: int = 10 * PERIOD_NS) -> None:
+        for image in images:
+            self.count += 1
+            self.live.offer(SimpleNamespace(image=image, stamp_ns=self.count * apart_ns, encoding="mono8"))
+
+    def show(self, *images: object) -> list[Look]:
+        self.offer(*images)
+        return [self.looks.get(timeout=TIMEOUT_S) for _ in images]
+
+    def capture(self, image: object) -> Queue[object]:
+        """Ask for a capture, and show an image once it waits."""
+        answers: Queue[object] = Queue()
+
+        def ask() -> None:
+            try:
+                answers.put(self.live.capture(TIMEOUT_S))
+            except Refused as error:
+                answers.put(error)
+
+        threading.Thread(target=ask, daemon=True).start()
+        while self.live._request is None:
+            pass
+        if image is not None:
+            self.show(image)
+        return answers
+
+
+@pytest.fixture
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    bench = Bench(**getattr(request, "param", {}))
+    yield bench
+    bench.gate.set()
+    bench.live.close()
+    assert not bench.live._worker.is_alive()
+
+
+def test_the_same_frames_give_the_camera_of_the_session(bench):
+    images = [empty(), flat(), *pair(), flat()]
+    looks = bench.show(*images)
+    session = Session(BOARD)
+    for i, image in enumerate(images[:4], start=1):
+        decision = session.add(image, i * 10 * PERIOD_NS)
+        assert looks[i - 1].decision.message == decision.message
+        if session.complete:
+            break
+    result = next(look.result for look in looks if look.result)
+    assert result.calibration.camera.matrix.tolist() == session.calibrate().camera.matrix.tolist()
+    assert bench.live.current() is result
+    assert looks[-1].decision is None  # nothing is looked for any more
+    bench.show(flat())
+    level, sentence = judge_health(bench.live.status())
+    assert level is Level.OK, sentence
+    assert "usable" in sentence
+
+
+@pytest.mark.parametrize("bench", [{"auto_capture": False}], indirect=True)
+class TestByServices:
+    def test_captures_one_view_each(self, bench):
+        assert not bench.show(flat())[0].result
+        assert bench.capture(pair()[0]).get(timeout=TIMEOUT_S).kept
+        bench.show(pair()[1], pair()[1])
+        assert len(bench.live.status().views) == 1
+        assert not bench.capture(empty()).get(timeout=TIMEOUT_S).kept
+        assert bench.capture(pair()[1]).get(timeout=TIMEOUT_S).kept
+        with pytest.raises(Refused, match="no calibration yet"):
+            bench.live.current()
+        result = bench.live.calibrate()
+        assert result.calibration.verdict.usable
+        assert result.frame_id == "camera"
+        assert bench.live.remove_last() == 1
+        with pytest.raises(Refused, match="changed since"):
+            bench.live.current()
+        bench.live.reset()
+        with pytest.raises(Refused, match="no view to remove"):
+            bench.live.remove_last()
+
+    def test_an_image_that_came_before_the_call_is_not_captured(self, bench):
+        bench.gate.clear()
+        bench.offer(flat())
+        answers = bench.capture(None)
+        bench.offer(empty())
+        bench.gate.set()
+        decision = answers.get(timeout=TIMEOUT_S)
+        assert decision.reason == "no board"
+        assert not bench.live.status().views
+
+    def test_a_reset_wins_over_an_image_that_is_being_looked_at(self, bench):
+        bench.gate.clear()
+        answers = bench.capture(None)
+        looked, go_on = threading.Event(), threading.Event()
+        capture = Session.capture
+
+        def slowly(self, *arguments):
+            decision = capture(self, *arguments)
+            looked.set()
+            assert go_on.wait(TIMEOUT_S)
+            return decision
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Session, "capture", slowly)
+            bench.offer(flat())
+            bench.gate.set()
+            assert looked.wait(TIMEOUT_S)
+            bench.live.reset()
+            go_on.set()
+            assert "changed while" in str(answers.get(timeout=TIMEOUT_S))
+        assert not bench.live.status().views
+
+    def test_one_capture_at_a_time_and_none_beyond_the_end(self, bench):
+        answers = bench.capture(None)
+        with pytest.raises(Refused, match="Another capture"):
+            bench.live.capture(0)
+        bench.live.close()
+        assert "ending" in str(answers.get(timeout=TIMEOUT_S))
+
+    def test_a_capture_without_images_is_given_up(self, bench):
+        with pytest.raises(Refused, match="No image arrived"):
+            bench.live.capture(0.01)
+        bench.show(flat())
+        assert not bench.live.status().views
+
+
+def test_an_image_that_cannot_be_read_is_an_error_until_the_next(bench):
+    (look,) = bench.show(None)
+    assert look.problem == "This is no image."
+    status = bench.live.status()
+    assert judge_health(status) == (Level.ERROR, "This is no image.")
+    assert dict(health_values(status))["images unreadable"] == "1"
+    bench.show(empty())
+    assert judge_health(bench.live.status())[0] is Level.WARN
+
+
+@pytest.mark.parametrize("bench", [{"views_required": 1}], indirect=True)
+def test_other_thresholds_give_another_verdict(bench):
+    (look,) = bench.show(pair()[0])
+    strict = bench.live.status().parameters.changed({"max_focal_std": 1e-6})
+    bench.live.configure(strict)
+    with pytest.raises(Refused, match="no calibration yet"):
+        bench.live.current()
+    (look,) = bench.show(pair()[0])
+    assert not look.result.calibration.verdict.usable
+    bench.live.configure(strict.changed({"max_focal_std": 1.0}))
+    (look,) = bench.show(pair()[0])
+    assert look.result.calibration.verdict.usable

@@ -1,0 +1,364 @@
+"""The node, run as the process it is, with a camera driver and a client over DDS."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from live_cell import BAGS, BOARD, LOSSLESS, TIMEOUT_S, Cell, Process, robot_cell, wait_until
+from ros_domain import own_domain
+from sensor_msgs.msg import CameraInfo, Image
+
+from fewcal.boards import parse_board
+from fewcal.camera_info import read_camera_info, write_camera_info
+from fewcal_ros.frames import open_frames
+from fewcal_ros.live import CAPTURE_TIMEOUT_S
+from fewcal_ros.offline import Settings, calibrate_frames
+
+TRUTH = json.loads((BAGS / "truth.json").read_text())
+STILL = [i for i, frame in enumerate(TRUTH["wrist.bag"]["frames"]) if frame["kind"] == "still"]
+EMPTY = 0
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[Cell]:
+    with robot_cell(tmp_path) as it:
+        yield it
+
+
+def offline(recording: str):
+    with open_frames([BAGS / recording]) as frames:
+        return calibrate_frames(frames, Settings(parse_board(BOARD), select="first")).calibration
+
+
+def assert_ends_well(node: Process, number: int) -> None:
+    code, took = node.end(number)
+    errors = "".join(node.err)
+    assert code == 0, errors
+    assert took < 2
+    assert "Traceback" not in errors
+    assert "Exception" not in errors
+
+
+def capture_when_still(cell: Cell) -> str:
+    """What a robot program does: call again while the board has only just come to rest."""
+    answers = []
+
+    def still() -> bool:
+        answers.append(cell.client.call("capture"))
+        return "still" not in answers[-1].message
+
+    wait_until(still, "a board that is still")
+    assert answers[-1].success, answers[-1].message
+    return answers[-1].message
+
+
+class TestByItself:
+    @pytest.mark.parametrize("recording", ["wrist.bag", "arm_rosbag2"])
+    def test_the_camera_is_that_of_the_command_to_the_last_bit(self, cell, recording, tmp_path):
+        compressed = recording == "arm_rosbag2"
+        topic = "/image/compressed" if compressed else "/image"
+        reliable = f"qos_overrides.{topic}.subscription.reliability:=reliable"
+        node = cell.start_node(
+            "-p", reliable, queue_size=100, image_transport="compressed" if compressed else "raw"
+        )
+        infos = cell.client.camera_info()
+        camera = cell.start_camera(recording, topic)
+        camera.tell(play=list(range(27)))
+        info = wait_until(lambda: infos, "camera_info")[0]
+        expected = offline(recording)
+        assert list(info.k) == expected.camera.matrix.ravel().tolist()
+        assert list(info.d) == expected.camera.distortion.tolist()
+        assert (info.width, info.height) == expected.image_size
+        assert info.distortion_model == "plumb_bob"
+        assert list(info.r) == [1, 0, 0, 0, 1, 0, 0, 0, 1]
+        assert list(info.p) == [*info.k[:3], 0, *info.k[3:6], 0, *info.k[6:], 0]
+        assert info.header.frame_id == "camera_optical_frame"
+        stamp = info.header.stamp.sec * 10**9 + info.header.stamp.nanosec
+        assert stamp == expected.views[-1].stamp_ns
+
+        values = cell.client.wait_for(images_received="27", images_dropped="0", usable="yes")
+        assert float(values["fx"]) == expected.camera.fx
+        assert float(values["fx sd"]) == pytest.approx(expected.std["fx"], rel=1e-5)
+        assert values["hardware id"] == "camera"
+
+        answer = cell.client.call("save")
+        assert answer.success, answer.message
+        file = tmp_path / "ros/camera_info/camera.yaml"
+        assert str(file) in answer.message
+        write_camera_info(tmp_path / "offline.yaml", expected)
+        assert file.read_bytes() == (tmp_path / "offline.yaml").read_bytes()
+        assert_ends_well(node, signal.SIGINT)
+        assert len(infos) == 1
+
+    def test_who_comes_late_receives_the_camera(self, cell):
+        cell.start_node(*LOSSLESS, queue_size=100)
+        camera = cell.start_camera()
+        camera.tell(play=list(range(27)))
+        cell.client.wait_for(calibrated="yes")
+        late = cell.client.camera_info()
+        wait_until(lambda: late, "camera_info")
+        assert late[0].k[0] == offline("wrist.bag").camera.fx
+
+    @pytest.mark.parametrize("camera_first", [True, False])
+    @pytest.mark.parametrize("reliable", [True, False])
+    def test_any_driver_will_do_whichever_starts_first(self, cell, camera_first, reliable):
+        if camera_first:
+            camera = cell.start_camera(reliable=reliable)
+            cell.start_node()
+        else:
+            cell.start_node()
+            cell.client.wait_for(views="0")
+            camera = cell.start_camera(reliable=reliable)
+        camera.tell(hold=STILL[3])
+        cell.client.wait_for(views="1")
+        camera.tell(hold=STILL[6])
+        values = cell.client.wait_for(level="OK", complete="yes")
+        assert int(values["images received"]) > 0
+
+    def test_camera_info_is_in_step_with_the_images_on_request(self, cell):
+        cell.start_node(
+            "-r", "image:=/cell/image_raw", "-r", "camera_info:=/cell/camera_info", publish_camera_info=True
+        )
+        infos = cell.client.listen(CameraInfo, "/cell/camera_info")
+        images = cell.client.listen(Image, "/cell/image_raw")
+        camera = cell.start_camera(topic="/cell/image_raw")
+        camera.tell(hold=STILL[3])
+        cell.client.wait_for(views="1")
+        assert not infos
+        camera.tell(hold=STILL[6])
+        wait_until(lambda: len(infos) >= 5, "camera_info")
+        for info in infos[:5]:
+            wait_until(
+                lambda stamp=info.header.stamp: any(image.header.stamp == stamp for image in images),
+                f"an image of {info.header.stamp} among {[image.header.stamp for image in images]}",
+            )
+        assert infos[0].header.frame_id == "camera_optical_frame"
+        assert (infos[0].width, infos[0].height) == (640, 480)
+
+    def test_what_is_not_usable_is_not_given_away_unless_asked(self, cell):
+        cell.start_node(views_required=1, prior__focal_px=518.0, prior__focal_std_px=5, max_focal_std=1e-4)
+        infos = cell.client.camera_info()
+        camera = cell.start_camera()
+        camera.tell(hold=STILL[3])
+        cell.client.wait_for(calibrated="yes", usable="no", level="WARN")
+        for name in ("calibrate", "save", "commit"):
+            answer = cell.client.call(name)
+            assert not answer.success
+            assert "focal length is known to" in answer.message
+        assert not infos
+        assert cell.client.set(publish_unusable=True).successful
+        assert not cell.client.call("calibrate").success
+        wait_until(lambda: infos, "camera_info")
+        assert cell.client.call("save").success
+        assert cell.client.set(max_focal_std=0.5).successful
+        cell.client.wait_for(usable="yes", level="OK")
+
+
+class TestByServices:
+    def test_a_robot_program_calibrates_in_two_moves(self, cell, tmp_path):
+        node = cell.start_node(auto_capture=False, camera_name="wrist", output_path=str(tmp_path) + "/")
+        client = cell.client
+        infos = client.camera_info()
+        for name, reason in (
+            ("calibrate", "No view has been kept yet"),
+            ("save", "no calibration yet"),
+            ("commit", "no calibration yet"),
+            ("remove_last", "no view to remove"),
+        ):
+            answer = client.call(name)
+            assert not answer.success
+            assert reason in answer.message
+
+        camera = cell.start_camera()
+        camera.tell(hold=EMPTY)
+        answer = client.call("capture")
+        assert not answer.success
+        assert "No chessboard" in answer.message
+        camera.tell(hold=STILL[0])
+        message = capture_when_still(cell)
+        assert message.startswith("View 1 is kept. It has tilt 3 deg, sharpness 0.")
+        answer = client.call("calibrate")
+        assert not answer.success
+        assert "Fronto-parallel" in answer.message
+        camera.tell(hold=STILL[3])
+        message = capture_when_still(cell)
+        assert message.startswith("View 2 is kept.")
+        assert "f = 51" in message
+        assert "one sigma" in message
+        assert client.call("remove_last").message == "The last view is forgotten, 1 view is left."
+        capture_when_still(cell)
+        assert not infos
+
+        answer = client.call("calibrate")
+        assert answer.success
+        assert answer.message.startswith("Calibrated from 2 views: f = 51")
+        wait_until(lambda: infos, "camera_info")
+        answer = client.call("save")
+        assert answer.message == f"Saved to {tmp_path / 'wrist.yaml'}."
+        saved = read_camera_info(tmp_path / "wrist.yaml")
+        assert saved.camera.matrix.ravel().tolist() == list(infos[0].k)
+        assert client.values()["hardware id"] == "wrist"
+
+        capture_when_still(cell)
+        for name in ("save", "commit"):
+            assert "views have changed since the calibration" in client.call(name).message
+        assert client.call("reset").success
+        assert "no calibration yet" in client.call("save").message
+        client.wait_for(views="0", calibrated="no")
+        assert_ends_well(node, signal.SIGTERM)
+
+    def test_without_images_a_capture_says_so_and_keeps_nobody_waiting(self, cell):
+        node = cell.start_node(auto_capture=False)
+        cell.client.wait_for(views="0")
+        answers = []
+        waiting = threading.Thread(target=lambda: answers.append(cell.client.call("capture")))
+        start = time.monotonic()
+        waiting.start()
+        assert not cell.client.call("calibrate").success
+        assert cell.client.call("reset").success
+        assert time.monotonic() - start < CAPTURE_TIMEOUT_S
+        waiting.join(TIMEOUT_S)
+        assert not answers[0].success
+        assert "No image arrived within 5 s" in answers[0].message
+
+        cell.client.send("capture")
+        cell.client.call("reset")
+        assert_ends_well(node, signal.SIGTERM)
+
+    def test_commit_says_what_the_driver_says(self, cell):
+        node = cell.start_node()
+        camera = cell.start_camera()
+        camera.tell(hold=STILL[3])
+        cell.client.wait_for(views="1")
+        camera.tell(hold=STILL[6])
+        fx = float(cell.client.wait_for(level="OK", complete="yes")["fx"])
+        camera.tell(hold=None)
+        answer = cell.client.call("commit")
+        assert not answer.success
+        assert "no service /camera/set_camera_info" in answer.message
+        said = f"640 wide, fx {fx!r}"
+        for kind, success, sentence in (
+            ("accept", True, f"/camera/set_camera_info accepted the camera. {said}"),
+            ("refuse", False, f"/camera/set_camera_info refused: {said}."),
+            ("hang", False, "/camera/set_camera_info has not answered within 5 s; look at the driver."),
+        ):
+            camera.tell(answer=kind)
+            answer = cell.client.call("commit")
+            assert (answer.success, answer.message) == (success, sentence)
+        cell.client.send("commit")
+        assert cell.client.call("save").success
+        assert_ends_well(node, signal.SIGINT)
+
+
+class TestParameters:
+    def test_changes_at_runtime_are_checked(self, cell):
+        cell.start_node(max_motion_px=3, output_path="/nonexistent/folder/camera.yaml")
+        client = cell.client
+        for values, reason in (
+            ({"board": "chessboard:8x5:0.02"}, "read-only"),
+            ({"queue_size": 3}, "read-only"),
+            ({"views_required": 0}, "views_required"),
+            ({"min_sharpness": -0.5}, "min_sharpness"),
+            ({"max_motion_px": "fast"}, "max_motion_px must be a number, not 'fast'."),
+            ({"method": "best"}, "method must be one of map, zhu2020, zhang, not 'best'."),
+            ({"camera_name": "my camera"}, "letters, digits and underscores"),
+            ({"camera_name": "left", "rectify_alpha": 2}, "rectify_alpha must be from -1 to 1"),
+        ):
+            result = client.set(**values)
+            assert not result.successful
+            assert reason in result.reason
+        assert client.set(
+            views_required=3, auto_capture=False, camera_name="left", max_motion_px=1
+        ).successful
+        client.wait_for(views_required="3", mode="services", hardware_id="left")
+
+    @pytest.mark.parametrize(
+        ("arguments", "reason"),
+        [
+            ([], "The parameter board is missing"),
+            (["-p", "board:=chess"], "There is no board kind 'chess'"),
+            (["-p", f"board:={BOARD}", "-p", "views_required:=0"], "views_required"),
+            (["-p", f"board:={BOARD}", "-p", "views_required:=two"], "views_required"),
+            (["-p", f"board:={BOARD}", "-p", "prior.focal_px:=500.0"], "belong together"),
+            (["-p", f"board:={BOARD}", "-p", "qos_overrides./image.subscription.reliability:=x"], "image"),
+            (["-p", "board"], "board"),
+            (["--params-file", "nowhere.yaml"], "nowhere.yaml"),
+        ],
+    )
+    def test_a_start_that_cannot_be_is_refused_in_a_sentence(self, arguments, reason, tmp_path):
+        with own_domain() as environment:
+            done = subprocess.run(
+                [sys.executable, "-m", "fewcal_ros.node", "--ros-args", *arguments],
+                env=environment | {"ROS_LOG_DIR": str(tmp_path)},
+                capture_output=True,
+                text=True,
+                timeout=TIMEOUT_S,
+                check=False,
+            )
+        assert done.returncode == 2, done.stderr
+        assert reason in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+class TestState:
+    def test_images_that_change_or_cannot_be_read_are_noticed(self, cell):
+        node = cell.start_node()
+        camera = cell.start_camera()
+        camera.tell(blank=[64, 48, "mono8", "a"])
+        cell.client.wait_for(input="64x48 mono8 in frame 'a'", input_changes="0")
+        for changes, kind in enumerate(
+            ([96, 48, "mono8", "a"], [96, 48, "8UC1", "a"], [96, 48, "8UC1", "b"]), start=1
+        ):
+            camera.tell(blank=kind)
+            w, h, encoding, frame = kind
+            values = cell.client.wait_for(
+                input=f"{w}x{h} {encoding} in frame {frame!r}", input_changes=str(changes)
+            )
+            assert "call ~/reset" in values["last input change"]
+        assert sum("The images have changed" in line for line in node.err) == 3
+        camera.tell(blank=[96, 48, "strange", "b"])
+        values = cell.client.wait_for(level="ERROR", images_unreadable="1")
+        assert "The image encoding 'strange' is not supported" in values["message"]
+        camera.tell(hold=STILL[3])
+        cell.client.wait_for(views="1", level="WARN")
+        camera.tell(blank=[96, 48, "8UC1", "b"])
+        values = cell.client.wait_for(input="96x48 8UC1 in frame 'b'")
+        assert "96x48 now and the views 640x480" in values["message"]
+
+    def test_the_annotated_image_is_there_for_who_looks(self, cell):
+        cell.start_node()
+        pictures = cell.client.annotated()
+        camera = cell.start_camera()
+        camera.tell(hold=STILL[3])
+        cell.client.wait_for(views="1")
+        camera.tell(hold=STILL[6])
+        cell.client.wait_for(level="OK")
+        seen = len(pictures)
+        wait_until(lambda: len(pictures) > seen + 1, "a picture although there are enough views")
+        picture = pictures[-1]
+        assert (picture.encoding, picture.width, picture.step) == ("bgr8", 960, 2880)
+        assert len(picture.data) == picture.height * picture.step
+        assert picture.header.frame_id == "camera_optical_frame"
+
+    def test_after_a_hard_end_it_starts_anew(self, cell, tmp_path):
+        node = cell.start_node()
+        camera = cell.start_camera()
+        for _ in range(2):
+            camera.tell(hold=STILL[3])
+            cell.client.wait_for(views="1")
+            camera.tell(hold=STILL[6])
+            cell.client.wait_for(level="OK", complete="yes")
+            cell.client.send("save")
+            assert node.end(signal.SIGKILL)[0] == -signal.SIGKILL
+            for file in (tmp_path / "ros/camera_info").glob("*.yaml"):
+                read_camera_info(file)  # whole, if it is there
+            node = cell.start_node()
+            cell.client.wait_for(views="0")

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fewcal.constraints import Priors
+from fewcal.errors import InvalidInput
+from fewcal.session import Criteria
+from fewcal.verdict import Thresholds
+from fewcal_ros.parameters import About, Parameters
+
+BOARD = "chessboard:9x6:0.025"
+
+
+def test_the_defaults_are_those_of_the_library():
+    parameters = Parameters(board=BOARD)
+    assert parameters.criteria == Criteria()
+    assert parameters.thresholds == Thresholds()
+    assert parameters.priors == Priors()
+    assert str(parameters.target) == BOARD
+
+
+def test_every_parameter_is_described():
+    for field in Parameters.__dataclass_fields__.values():
+        about: About = field.metadata["about"]
+        assert about.name.replace(".", "_") == field.name
+        assert about.description.endswith(".")
+        assert about.bounds is not None or type(about.default) in (str, bool)
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"views_required": 0}, "views_required must be from 1 to 100, not 0."),
+        ({"views_required": 2.0}, "views_required must be a whole number, not 2.0."),
+        ({"views_required": True}, "views_required must be a whole number"),
+        ({"auto_capture": 1}, "auto_capture must be true or false, not 1."),
+        ({"max_motion_px": float("nan")}, "max_motion_px must be from 0 to 10000, not nan."),
+        ({"max_motion_px": None}, "max_motion_px must be a number, not None."),
+        ({"max_motion_px": True}, "max_motion_px must be a number"),
+        ({"method": "best"}, "method must be one of map, zhu2020, zhang, not 'best'."),
+        ({"image_transport": "theora"}, "image_transport must be one of raw, compressed"),
+        ({"camera_name": "a b"}, "letters, digits and underscores"),
+        ({"prior.focal_px": 500.0}, "belong together"),
+        ({"board": ""}, "The parameter board is missing"),
+        ({"board": "chessboard:2x6:0.1"}, "at least 3"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_a_reason(values, reason):
+    with pytest.raises(InvalidInput) as caught:
+        Parameters(board=BOARD).changed(values)
+    assert reason in str(caught.value)
+
+
+def test_a_whole_number_serves_for_a_real_one():
+    parameters = Parameters(board=BOARD).changed({"max_motion_px": 3, "use_sim_time": True})
+    assert type(parameters.max_motion_px) is float
+    assert parameters.criteria.max_motion_px == 3
+
+
+def test_the_prior_is_taken_over():
+    parameters = Parameters(board=BOARD).changed({"prior.focal_px": 500, "prior.focal_std_px": 5})
+    assert parameters.priors == Priors(focal_px=(500.0, 5.0))
+
+
+def test_where_the_file_goes(tmp_path, monkeypatch):
+    parameters = Parameters(board=BOARD, camera_name="wrist")
+    monkeypatch.delenv("ROS_HOME", raising=False)
+    monkeypatch.setenv("HOME", "/home/somebody")
+    assert parameters.save_path == Path("/home/somebody/.ros/camera_info/wrist.yaml")
+    monkeypatch.setenv("ROS_HOME", "/ros")
+    assert parameters.save_path == Path("/ros/camera_info/wrist.yaml")
+    for given, expected in (
+        (str(tmp_path), tmp_path / "wrist.yaml"),
+        ("/new/folder/", Path("/new/folder/wrist.yaml")),
+        ("/new/file.yaml", Path("/new/file.yaml")),
+        ("~/file.yaml", Path("/home/somebody/file.yaml")),
+    ):
+        assert parameters.changed({"output_path": given}).save_path == expected

@@ -55,5 +55,7 @@ setup(
             "colcon-common-extensions>=0.3,<0.4",
         ],
     },
-    entry_points={"console_scripts": ["fewcal = fewcal_ros.cli:main", "fewcal_node = fewcal_ros.node:main"]},
+    entry_points={
+        "console_scripts": ["fewcal = fewcal_ros.cli:main", "fewcal_node = fewcal_ros.node_command:main"]
+    },
 )

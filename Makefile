@@ -4,6 +4,12 @@ PYTHON ?= python3
 VENV := .venv
 OLDEST := .venv-oldest
 DESCRIPTION := setup.py setup.cfg pyproject.toml
+# There are wheels of ROS 2 for Linux and these versions of Python. Where they neither fit nor are needed, since
+# an installed ROS has been sourced, they are left out; where there is no ROS the tests of the node are skipped.
+LACKS_ROS = import importlib.util, sys; \
+  fits = sys.platform == "linux" and (3, 10) <= sys.version_info < (3, 14); \
+  sys.exit(not fits or importlib.util.find_spec("rclpy") is not None)
+TEST_EXTRAS = $(shell $(PYTHON) -c '$(LACKS_ROS)' && echo test,ros || echo test)
 
 # A folder that `python -m venv` or pip left half done has no stamp, and is made anew.
 MADE = $(@D)/.made
@@ -47,7 +53,7 @@ $(VENV)/.installed: $(DESCRIPTION)
 $(VENV)/.installed-test: $(DESCRIPTION)
 	$(make_venv)
 	@echo "Installing fewcal and what its tests need into $(@D)"
-	@$(PIP) --editable '.[test]'
+	@$(PIP) --editable '.[$(TEST_EXTRAS)]'
 	@touch $@ $(@D)/.installed
 
 $(OLDEST)/.installed-test: $(DESCRIPTION) constraints-oldest.txt
@@ -55,5 +61,5 @@ $(OLDEST)/.installed-test: $(DESCRIPTION) constraints-oldest.txt
 	  echo "numpy 1.26 needs Python 3.10 to 3.12: make test-oldest PYTHON=python3.12"; exit 1; }
 	$(make_venv)
 	@echo "Installing fewcal on its oldest dependencies into $(@D)"
-	@$(PIP) --constraint constraints-oldest.txt --editable '.[test]'
+	@$(PIP) --constraint constraints-oldest.txt --editable '.[$(TEST_EXTRAS)]'
 	@touch $@

@@ -15,8 +15,8 @@ from .live import Refused
 
 SERVICE = "camera/set_camera_info"
 """Where camera_info_manager offers it, beside a driver in the namespace camera."""
-FIND_TIMEOUT_S = 2.0
-"""How long to look for the service: it takes DDS a moment to discover one that has just started."""
+DISCOVERY_S = 2.0
+"""How long the node must have been there to know that there is no service: discovery takes a moment."""
 ANSWER_TIMEOUT_S = 5.0
 """How long a driver may take; those that write to the camera's own memory take a second or two."""
 _POLL_S = 0.02
@@ -36,6 +36,7 @@ class Driver:
         )
         self._name = node.resolve_service_name(SERVICE)
         self._closing = threading.Event()
+        self._start = time.monotonic()
 
     def commit(self, info: CameraInfo) -> str:
         """Call the driver's set_camera_info and return what it says, as a sentence.
@@ -46,11 +47,11 @@ class Driver:
             When there is no such service, it refuses or it does not answer in time.
         """
         name = self._name
-        self._wait(self._client.service_is_ready, FIND_TIMEOUT_S)
+        self._wait(self._client.service_is_ready, self._start + DISCOVERY_S)
         if not self._client.service_is_ready():
             raise Refused(f"There is no service {name}; start the driver, or remap {SERVICE}.")
         future = self._client.call_async(SetCameraInfo.Request(camera_info=info))
-        self._wait(future.done, ANSWER_TIMEOUT_S)
+        self._wait(future.done, time.monotonic() + ANSWER_TIMEOUT_S)
         if not future.done():
             self._client.remove_pending_request(future)
             raise Refused(f"{name} has not answered within {ANSWER_TIMEOUT_S:g} s; look at the driver.")
@@ -63,7 +64,6 @@ class Driver:
         """Let a commit that is waiting go."""
         self._closing.set()
 
-    def _wait(self, done: Callable[[], bool], timeout_s: float) -> None:
-        end = time.monotonic() + timeout_s
+    def _wait(self, done: Callable[[], bool], end: float) -> None:
         while not done() and time.monotonic() < end and not self._closing.wait(_POLL_S):
             pass

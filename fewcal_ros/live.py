@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from fewcal.calibration import Calibration
@@ -316,7 +316,7 @@ class LiveCalibration:
             decision = session.add(*arguments)
         elif self._watched() or not self._parameters.auto_capture:
             # A capture that follows can only tell motion when the frame before it has been looked at.
-            return session.frames.look(*arguments), before
+            return _unasked(session.frames.look(*arguments)), before
         else:
             return None, before
         if not decision.kept:
@@ -360,6 +360,15 @@ class LiveCalibration:
                 if self._session is before:
                     self._session = session
                     return session
+
+
+def _unasked(decision: Decision) -> Decision:
+    """The decision on an image that nobody has asked to keep."""
+    if not decision.kept:
+        return decision
+    return replace(
+        decision, kept=False, reason="not asked for", message=f"{decision.message} ~/capture would keep it."
+    )
 
 
 def _answer(future: Future[Decision] | None, outcome: Decision | FewcalError | None) -> None:

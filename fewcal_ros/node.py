@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -13,7 +12,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import ParameterException
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -23,7 +21,6 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_profile_sensor_data,
 )
-from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import Trigger
@@ -35,6 +32,7 @@ from fewcal.files import write_atomically
 from .annotation import RESIDUAL_SCALE, Mood, annotate
 from .driver import Driver
 from .health import Level, focal_text, health_values, judge_health
+from .image_subscription import ImageSubscription
 from .live import LiveCalibration, Look, Refused, Result
 from .messages import Frame, compressed_to_grey, image_to_grey, stamp_ns
 from .outgoing import (
@@ -45,6 +43,7 @@ from .outgoing import (
     image_message,
 )
 from .parameters import declare_parameters
+from .signals import Wait, until_signal
 
 ENDED, BAD_INPUT, FAILED = 0, 2, 1
 """Exit codes: ended by a signal as asked; a parameter or argument cannot be used; anything else."""
@@ -52,7 +51,14 @@ THREADS = 8
 """One for each callback group that can be busy at once: three that may wait in services, and the others."""
 SHUTDOWN_S = 1.0
 """How long the callbacks that still run may take to end."""
+POLL_S = 0.2
+"""How often to see whether the executor has failed."""
+SWITCH_INTERVAL_S = 1e-3
+"""After so long a thread that computes lets another one have the interpreter: an answer of a service changes
+threads several times, and would wait Python's usual 5 ms for each."""
 DIAGNOSTICS_PERIOD_S = 1.0
+MANY_LOST = 30
+"""Images lost on the way, and more than arrived, that are worth a warning: a second of a usual camera."""
 RELIABLE = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
@@ -74,6 +80,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._settings = declare_parameters(self)
         self._released: CameraInfo | None = None
         self._problem = ""
+        self._told_loss = False
         self._decode = image_to_grey if self._settings.image_transport == "raw" else compressed_to_grey
         self._camera_info = self.create_publisher(CameraInfo, "~/camera_info", LATCHED)
         self._annotated = self.create_publisher(Image, "~/image_annotated", RELIABLE)
@@ -84,21 +91,21 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
             else None
         )
         self._driver = Driver(self)
-        self._subscribe()
+        self._images = self._subscribe()
         self._offer_services()
         self._live = LiveCalibration(
             self._settings, self._read, self._report, lambda: bool(self._annotated.get_subscription_count())
         )
         self.create_timer(
             DIAGNOSTICS_PERIOD_S,
-            self._publish_diagnostics,
+            self._tick,
             callback_group=MutuallyExclusiveCallbackGroup(),
             clock=Clock(clock_type=ClockType.STEADY_TIME),  # simulated time may stand still
         )
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.get_logger().info(
-            f"Waiting for images on {self._subscription.topic_name} that show {self._settings.board}."
+            f"Waiting for images on {self._images.topic_name} that show {self._settings.board}."
         )
 
     def close(self) -> None:
@@ -106,27 +113,13 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._driver.close()
         self._live.close()
 
-    def _subscribe(self) -> None:
+    def _subscribe(self) -> ImageSubscription:
         kind, topic = Image, "image"
         if self._settings.image_transport == "compressed":
             # As image_transport does it: remapping image remaps the compressed topic below it.
             kind, topic = CompressedImage, self.resolve_topic_name("image") + "/compressed"
-        qos = QoSProfile(
-            depth=max(qos_profile_sensor_data.depth, self._settings.queue_size),
-            reliability=qos_profile_sensor_data.reliability,
-            durability=qos_profile_sensor_data.durability,
-        )
-        try:
-            self._subscription = self.create_subscription(
-                kind,
-                topic,
-                self._take_image,
-                qos,
-                callback_group=MutuallyExclusiveCallbackGroup(),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            )
-        except (RuntimeError, ParameterException, InvalidQosOverridesError) as error:
-            raise InvalidInput(f"The QoS overrides of {topic} cannot be used: {error}") from None
+        depth = max(qos_profile_sensor_data.depth, self._settings.queue_size)
+        return ImageSubscription(self, kind, topic, depth, self._take_image)
 
     def _offer_services(self) -> None:
         # Those that wait for something outside have a group each, so that they keep nobody else waiting.
@@ -168,7 +161,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
 
     def _read(self, message: Any) -> Frame:
         stamp = stamp_ns(message) or self.get_clock().now().nanoseconds
-        source = f"{self._subscription.topic_name}@{stamp // 1_000_000_000}.{stamp % 1_000_000_000:09d}"
+        source = f"{self._images.topic_name}@{stamp // 1_000_000_000}.{stamp % 1_000_000_000:09d}"
         return Frame(self._decode(message), stamp, message.header.frame_id, source)
 
     def _report(self, look: Look) -> None:
@@ -303,6 +296,17 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
 
     # State
 
+    def _tick(self) -> None:
+        self._images.adapt()
+        lost, received = self._images.lost, self._live.status().received
+        if lost > max(received, MANY_LOST) and not self._told_loss:
+            self._told_loss = True
+            self.get_logger().warning(
+                f"{lost} of {lost + received} images were lost on the way here: images of this size need a "
+                "driver that publishes reliably, or larger buffers of the middleware."
+            )
+        self._publish_diagnostics()
+
     def _publish_diagnostics(self) -> None:
         status = self._live.status()
         level, sentence = judge_health(status)
@@ -313,7 +317,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
                 self._settings.camera_name,
                 level,
                 sentence,
-                health_values(status),
+                [*health_values(status), ("images lost", str(self._images.lost))],
             )
         )
 
@@ -343,17 +347,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code: 0 when ended by a signal, 2 when a parameter or argument cannot be used.
     """
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    try:
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # arguments or a parameter file that ROS cannot read
-        return _fail(str(error))
-    try:
-        node = CalibrationNode()
-    except FewcalError as error:
-        return _fail(str(error))
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    with until_signal() as wait:
+        try:
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        except RuntimeError as error:  # arguments or a parameter file that ROS cannot read
+            return _fail(str(error))
+        try:
+            node = CalibrationNode()
+        except FewcalError as error:
+            return _fail(str(error))
+        return _run(node, wait)
+
+
+def _run(node: CalibrationNode, wait: Wait) -> int:
+    """Serve until asked to end, then wind up; returns the exit code."""
     executor = MultiThreadedExecutor(THREADS)
     executor.add_node(node)
     failures: list[Exception] = []
@@ -363,11 +371,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             executor.spin()
         except Exception as error:
             failures.append(error)
-            stop.set()
 
     spinner = threading.Thread(target=spin, name="fewcal executor")
     spinner.start()
-    stop.wait()
+    while spinner.is_alive() and not wait(POLL_S):
+        pass
     node.close()
     executor.shutdown(SHUTDOWN_S)
     spinner.join(SHUTDOWN_S)

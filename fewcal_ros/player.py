@@ -9,9 +9,6 @@ from __future__ import annotations
 import heapq
 import importlib
 import re
-import select
-import signal
-import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -34,6 +31,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from .errors import RecordingError, RosError
 from .recordings import Recording, merge_topics, open_source
+from .signals import Wait, until_signal
 from .storage import RawMessage, Topic, plain_cdr
 
 _ROS2 = get_typestore(Stores.ROS2_JAZZY)
@@ -53,9 +51,6 @@ _QUEUE = 30
 _LAST_ACK_S = 1.0
 """Wait at the end for subscribers to acknowledge the last messages."""
 
-_LONGEST_WAIT_S = 1e6
-"""A damaged time can lie centuries ahead, which is more than the system can wait for."""
-
 _LOOK_AHEAD_BYTES = 16_000_000
 """As much is read ahead to bring messages into the order of their times: several chunks of any writer."""
 
@@ -66,9 +61,6 @@ _TYPE = re.compile(r"([a-z]\w*)/msg/([A-Z]\w*)", re.ASCII)
 
 Tell = Callable[[str], None]
 """Receives a sentence for the user."""
-
-Wait = Callable[[float], bool]
-"""Waits so many seconds; True at once when the process has been asked to end."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +104,7 @@ def play(path: str | Path, playback: Playback, tell: Tell) -> int:
     for sentence in source.warnings:
         tell(sentence)
     names = choose_topics(merge_topics(source.recordings), playback.topics)
-    with _until_signal() as wait, _node() as node:
+    with until_signal() as wait, _node() as node:
         player = _Player(source.recordings, playback, _publishers(node, names, playback.reliable, tell), tell)
         player.run(wait)
     return player.published
@@ -266,27 +258,6 @@ class _Player:
             return
         publisher.publish(data)
         self.published += 1
-
-
-@contextmanager
-def _until_signal() -> Iterator[Wait]:
-    """Give a wait that SIGINT and SIGTERM cut short.
-
-    The byte that Python writes for a signal stays in the socket, so that every later wait ends at once too.
-    """
-    reader, writer = socket.socketpair()
-    with reader, writer:
-        writer.setblocking(False)
-        descriptor = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
-        handlers = {
-            number: signal.signal(number, lambda *_: None) for number in (signal.SIGINT, signal.SIGTERM)
-        }
-        try:
-            yield lambda seconds: bool(select.select([reader], [], [], min(seconds, _LONGEST_WAIT_S))[0])
-        finally:
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
-            signal.set_wakeup_fd(descriptor)
 
 
 @contextmanager

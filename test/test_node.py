@@ -356,6 +356,7 @@ class TestState:
             cell.client.wait_for(views="1")
             camera.tell(hold=STILL[6])
             cell.client.wait_for(level="OK", complete="yes")
+            camera.tell(hold=None)  # or the node started next would have its first view at once
             cell.client.send("save")
             assert node.end(signal.SIGKILL)[0] == -signal.SIGKILL
             for file in (tmp_path / "ros/camera_info").glob("*.yaml"):

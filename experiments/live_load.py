@@ -33,6 +33,8 @@ POSES = ((35, 0, 0), (35, 90, 40), (30, 180, 90), (40, 250, 20))
 """Tilt, the direction of the tilt, and turn of the board, degrees."""
 HOLD_S = 3.0
 """How long the camera looks at the board from each pose."""
+MOVE_S = 0.3
+"""How long the robot moves before it asks for a view."""
 WARM_UP_S = 60.0
 """Memory is compared with what it was after this time."""
 
@@ -140,6 +142,8 @@ class RobotProgram:
     def cell(self) -> None:
         """What a robot program does with two poses."""
         for name in ("capture", "calibrate", "capture", "calibrate", "save", "remove_last", "reset"):
+            if name == "capture":
+                time.sleep(MOVE_S)
             self.call(name)
 
 

@@ -19,13 +19,16 @@ from .calibration import Calibration, calibrate
 from .constraints import Priors
 from .detection import Detection, detect_board
 from .errors import BoardNotFound, DegenerateViews, InvalidInput
-from .grey import as_grey
+from .grey import GreyImage, as_grey
 from .selection import best_subset, information
 from .verdict import Thresholds
 from .views import View
 
 MOTION_WINDOW_NS = 500_000_000
 """Frames farther apart than this say nothing about motion: a robot took them one by one."""
+MARGIN_SQUARES = 3.0
+"""Squares around the corners in which a board that has hardly moved is found again: its outer squares, which
+may be larger than most by perspective, and some of what surrounds them."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,17 @@ class FrameFilter:
         self.read = 0
         self.with_board = 0
         self.rejected: Counter[str] = Counter()
-        self._previous: tuple[int, View | None] | None = None
+        self._before: tuple[int, View | GreyImage | None] | None = None
+
+    def pass_by(self, image: NDArray[Any], stamp_ns: int | None = None) -> None:
+        """Let a frame pass that nobody needs: only a look at the next one may take it into account.
+
+        Parameters
+        ----------
+        image : (H, W) or (H, W, C) array of uint8 or uint16
+        stamp_ns : int, optional
+        """
+        self._remember(stamp_ns, as_grey(image))
 
     def look(self, image: NDArray[Any], stamp_ns: int | None = None, source: str = "") -> Decision:
         """Look at one frame.
@@ -121,7 +134,7 @@ class FrameFilter:
             self._remember(stamp_ns, None)
             return self._reject(error.reason, str(error))
         self.with_board += 1
-        motion = self._motion_px(detection.view)
+        motion = self._motion_px(detection, grey.shape)
         self._remember(stamp_ns, detection.view)
         if detection.sharpness < self.criteria.min_sharpness:
             return self._reject(
@@ -131,30 +144,43 @@ class FrameFilter:
                 detection,
             )
         if motion > self.criteria.max_motion_px:
-            moved = (
-                f"The board moved {motion:.1f} px" if np.isfinite(motion) else "The board has just appeared"
-            )
-            return self._reject(
-                "moving",
-                f"{moved} since the frame before, {self.criteria.max_motion_px:g} px are allowed; "
-                "hold it still.",
-                detection,
-            )
+            return self._reject("moving", self._moved(motion), detection)
         return Decision(True, "kept", "The board is whole, sharp and still.", detection)
 
-    def _motion_px(self, view: View) -> float:
+    def _moved(self, motion_px: float) -> str:
+        if not np.isfinite(motion_px):
+            return "The frame before does not show the board here; hold it still."
+        return (
+            f"The board moved {motion_px:.1f} px since the frame before, {self.criteria.max_motion_px:g} px "
+            "are allowed; hold it still."
+        )
+
+    def _motion_px(self, detection: Detection, shape: tuple[int, ...]) -> float:
         """Largest motion of a corner since the frame before; infinite when that frame had no board."""
-        if self._previous is None or view.stamp_ns is None:
+        view = detection.view
+        if self._before is None or view.stamp_ns is None:
             return 0.0
-        stamp_ns, before = self._previous
+        stamp_ns, before = self._before
         if not 0 <= view.stamp_ns - stamp_ns <= MOTION_WINDOW_NS:
             return 0.0
-        if before is None:
-            return float("inf")
-        return shift_px(view, before)
+        if isinstance(before, View):
+            return shift_px(view, before)
+        return np.inf if before is None or before.shape != shape else self._motion_since(before, detection)
 
-    def _remember(self, stamp_ns: int | None, view: View | None) -> None:
-        self._previous = None if stamp_ns is None else (stamp_ns, view)
+    def _motion_since(self, grey: GreyImage, detection: Detection) -> float:
+        """Motion since a frame that has not been looked at: only where the board is now, which is quick."""
+        points = detection.view.image_points
+        margin = MARGIN_SQUARES * detection.square_px
+        low = np.maximum(np.floor(points.min(axis=0) - margin), 0).astype(int)
+        high = np.ceil(points.max(axis=0) + margin).astype(int)
+        try:
+            before = detect_board(grey[low[1] : high[1], low[0] : high[0]], self.board).view
+        except BoardNotFound:
+            return np.inf
+        return float(np.linalg.norm(points - low - before.image_points, axis=1).max())
+
+    def _remember(self, stamp_ns: int | None, frame: View | GreyImage | None) -> None:
+        self._before = None if stamp_ns is None else (stamp_ns, frame)
 
     def _reject(self, reason: str, message: str, detection: Detection | None = None) -> Decision:
         self.rejected[reason] += 1

@@ -30,6 +30,8 @@ from .stream import ImageStream
 
 CAPTURE_TIMEOUT_S = 5.0
 """How long a capture waits for its image: the slowest cameras in use take one every second or two."""
+GLANCE_PERIOD_S = 0.2
+"""How often to look at an image that nobody needs, so that the state tells what the camera sees."""
 JOIN_TIMEOUT_S = 1.5
 """How long closing waits for the image being looked at: within the two seconds in which the node must end."""
 
@@ -56,7 +58,7 @@ class Look:
     frame : Frame or None
         None when the image could not be read.
     decision : Decision or None
-        None when nothing is looked for: there are enough views.
+        None when it was not looked at: nobody needs it now.
     problem : str
         Why the image, or the calibration from it, failed; empty when nothing did.
     stream_change : str
@@ -136,6 +138,7 @@ class LiveCalibration:
         self._last_took_s = 0.0
         self._last_arrival: float | None = None
         self._unreadable = 0
+        self._last_glance = -GLANCE_PERIOD_S
         self._worker = threading.Thread(target=self._work, name="fewcal worker", daemon=True)
         self._worker.start()
 
@@ -314,10 +317,11 @@ class LiveCalibration:
             decision = session.capture(*arguments)
         elif by_itself:
             decision = session.add(*arguments)
-        elif self._watched() or not self._parameters.auto_capture:
-            # A capture that follows can only tell motion when the frame before it has been looked at.
+        elif self._watched() or time.monotonic() - self._last_glance > GLANCE_PERIOD_S:
+            self._last_glance = time.monotonic()
             return _unasked(session.frames.look(*arguments)), before
         else:
+            session.frames.pass_by(frame.image, frame.stamp_ns)
             return None, before
         if not decision.kept:
             return decision, before

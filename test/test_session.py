@@ -80,6 +80,31 @@ def test_a_board_that_has_just_appeared_is_not_yet_still() -> None:
     assert fates([(image, i * 10**9) for i, image in enumerate(frames)]) == ["no board", "kept", "kept"]
 
 
+@pytest.mark.parametrize(
+    ("before", "motion"),
+    [(shown(30.0), "kept"), (MOVED_LITTLE, "kept"), (MOVED_FAR, "moving"), (empty(), "moving")],
+)
+def test_a_frame_that_was_let_pass_tells_motion_too(before: Image, motion: str) -> None:
+    frames = FrameFilter(BOARD)
+    frames.look(empty(), 0)
+    frames.pass_by(before, PERIOD_NS)
+    assert frames.look(shown(30.0), 2 * PERIOD_NS).reason == motion
+    assert frames.read == 2
+    frames.pass_by(MOVED_FAR, 3 * PERIOD_NS)
+    assert frames.look(shown(30.0), 3 * PERIOD_NS + 10**9).reason == "kept"  # too long ago
+    frames.pass_by(MOVED_FAR[:400], 5 * 10**9)
+    assert frames.look(shown(30.0), 5 * 10**9 + 1).reason == "moving"  # another size
+
+
+def test_motion_since_a_frame_that_was_let_pass_is_measured() -> None:
+    frames, drift = FrameFilter(BOARD, Criteria(max_motion_px=1.0)), 1.5
+    frames.pass_by(shown(30.0, shift_px=drift), 0)
+    moved = frames.look(shown(30.0), PERIOD_NS).message
+    frames.look(shown(30.0, shift_px=drift), 10 * PERIOD_NS)
+    assert frames.look(shown(30.0), 11 * PERIOD_NS).message == moved
+    assert moved.startswith("The board moved 1.")
+
+
 def test_motion_is_measured_from_frame_to_frame() -> None:
     """A slow drift is still, however far it goes: each frame alone is sharp."""
     frames = [(shown(30.0, shift_px=1.5 * i), i * PERIOD_NS) for i in range(4)]

@@ -85,6 +85,45 @@ def distort_jacobians(points: Array, coefficients: Array) -> tuple[Array, Array]
     return d_points, d_coefficients
 
 
+def distort_rows(points: Array, coefficients: Array, by_coefficients: Array) -> tuple[Array, Array]:
+    """Distort with k3 = 0 and differentiate; for the inner loop, with the points along the last axis.
+
+    Parameters
+    ----------
+    points : (B, V, 2, N)
+    coefficients : (B, 4)
+        k1, k2, p1, p2.
+    by_coefficients : (B, V, 4, 2, N), output
+        Derivative of both coordinates by each coefficient.
+
+    Returns
+    -------
+    distorted : (B, V, 2, N)
+    jacobian : (B, V, 3, N)
+        dx'/dx, dx'/dy = dy'/dx and dy'/dy.
+    """
+    k1, k2, p1, p2 = coefficients.T[:, :, None, None]
+    x, y = points[:, :, 0], points[:, :, 1]
+    products = points[:, :, [0, 0, 1]] * points[:, :, [0, 1, 1]]
+    r2 = products[:, :, 0] + products[:, :, 2]
+    basis = by_coefficients
+    np.multiply(points, r2[:, :, None], out=basis[:, :, 0])
+    np.multiply(basis[:, :, 0], r2[:, :, None], out=basis[:, :, 1])
+    doubled = 2 * products
+    basis[:, :, 2, 0] = basis[:, :, 3, 1] = doubled[:, :, 1]
+    np.add(doubled[:, :, 2], r2, out=basis[:, :, 2, 1])
+    np.add(doubled[:, :, 0], r2, out=basis[:, :, 3, 0])
+    rows = basis.reshape(*basis.shape[:3], -1)
+    distorted = points + (coefficients[:, None, None] @ rows).reshape(points.shape)
+    linear = np.stack([6 * p2, 2 * p1, 2 * p1, 2 * p2, 2 * p2, 6 * p1], axis=-1)
+    bend = k2 * r2
+    jacobian = linear.reshape(len(linear), 1, 3, 2) @ points + doubled * (k1 + 2 * bend)[:, :, None]
+    radial = 1 + r2 * (k1 + bend)
+    jacobian[:, :, 0] += radial
+    jacobian[:, :, 2] += radial
+    return distorted, jacobian
+
+
 def fold_radius(distortion: Array) -> Array:
     """Undistorted radius at which the radial distortion turns back on itself.
 

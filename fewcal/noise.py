@@ -1,0 +1,98 @@
+"""How far image points miss the camera: from the scatter of the residuals to the error that counts.
+
+Corner errors are not independent: a bent board, uneven ink and what the lens model leaves out move neighbouring
+corners together. So a view of N corners carries the information of fewer: the likelihood is raised to the
+power 1 / CORRELATION^2 (a composite likelihood), which is the same as a standard deviation of CORRELATION
+times the scatter s of the residuals. On top of it comes the part of the model error that camera and poses
+absorb, so that no residual shows it. The scatter itself is unknown, with a log-normal prior.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .constraints import Priors
+from .views import ViewStack
+
+Array = NDArray[np.float64]
+
+CORRELATION = 2.0
+"""Ratio of the standard deviation that counts to the scatter of the residuals: 0.5 px was found about right
+on real boards whose residuals scatter by 0.25 px (doc/estimator.md)."""
+MODEL_ERROR_PX = 0.3
+"""Model error that camera and poses absorb, pixels: with corners that scatter by less than 0.1 px, error bars
+without it are too small by half on real boards (doc/estimator.md)."""
+ABSORBED = 3.0
+"""Largest ratio of the absorbed model error to the scatter that it leaves; exact data have neither."""
+_NEWTON_STEPS = 6
+"""The slowest case, equal weight of prior and residuals, is exact to rounding after five."""
+
+
+class Noise(NamedTuple):
+    """The noise of one set of views.
+
+    Attributes
+    ----------
+    freedom : int
+        Rows less the unknowns that only data can settle: six a view and eight of the camera.
+    median, spread : float
+        Of the scatter's prior, pixels, and standard deviation of its logarithm.
+    """
+
+    freedom: int
+    median: float
+    spread: float
+
+    @classmethod
+    def of(cls, views: ViewStack, priors: Priors) -> Noise:
+        """Count the degrees of freedom of some views."""
+        rows = 2 * int((views.weights > 0).sum())
+        return cls(max(rows - 6 * len(views.points) - 8, 0), *priors.corner_sigma_px)
+
+    def scatter(self, squares: Array) -> Array:
+        """Scatter s (B,), pixels, for sums of squared residuals (B,): n (1 - q / s^2) + ln(s / s0) / tau^2 = 0.
+
+        n is the number of degrees of freedom over CORRELATION^2, q their mean square. With
+        z = 2 tau^2 n + 2 ln(s / s0) the equation is z e^z = 2 tau^2 n q / s0^2 e^(2 tau^2 n), Lambert's, which
+        Newton's iteration solves for ln z: its left side is convex and rises, so it descends to the root.
+        """
+        strength = 2 * self.spread**2 * self.freedom / CORRELATION**2
+        with np.errstate(divide="ignore"):
+            c = np.log(strength * squares / (max(self.freedom, 1) * self.median**2)) + strength
+        c = np.maximum(c, -700.0)
+        log_z = np.where(c > 1, np.log(np.maximum(c, 1)), c)
+        for _ in range(_NEWTON_STEPS):
+            z = np.exp(log_z)
+            log_z = log_z - (z + log_z - c) / (z + 1)
+        scatter: Array = self.median * np.exp((np.exp(log_z) - strength) / 2)
+        return scatter
+
+    def variance(self, squares: Array) -> Array:
+        """Variance (B,) of an image point of weight 1, px^2, for sums of squared residuals (B,)."""
+        return total_sigma(self.scatter(squares)) ** 2
+
+    def objective(self, squares: Array, prior_squares: Array) -> Array:
+        """Negative log posterior of a camera at the scatter that suits it best, up to a constant.
+
+        Parameters
+        ----------
+        squares, prior_squares : (B,)
+            Sums of squares of the residuals, px^2, and of the rows of the priors.
+        """
+        scatter = self.scatter(squares)
+        sigma = total_sigma(scatter)
+        deviation = np.log(scatter / self.median) / self.spread
+        informative = self.freedom / CORRELATION**2
+        objective: Array = 0.5 * (squares / sigma**2 + prior_squares + deviation**2) + informative * np.log(
+            sigma
+        )
+        return objective
+
+
+def total_sigma(scatter: Array) -> Array:
+    """Standard deviation of an image point that counts, for the scatter of the residuals, pixels."""
+    total: Array = np.hypot(CORRELATION * scatter, np.minimum(MODEL_ERROR_PX, ABSORBED * scatter))
+    return total

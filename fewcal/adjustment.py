@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .least_squares import NormalEquations, Stop
+from .noise import Noise
 from .parametrisation import Parametrisation, ScaleFree
 from .views import ViewStack
 
@@ -20,6 +21,9 @@ Constraint = Callable[[Array], tuple[Array, Array]]
 
 POSE = 6
 """Unknowns of a pose: a turn about the board's axes (rad) and a shift of its centroid (m)."""
+
+LARGEST_FOCAL_STEP = 1.0
+"""Of ln f; what is linear does not reach farther, and wrong poses would run away to infinity."""
 
 
 class Geometry(NamedTuple):
@@ -66,11 +70,14 @@ class Adjustment:
     model : Parametrisation
     constraint : callable
         The rows on the camera alone.
+    noise : Noise, optional
+        For each start; without it rows are pixels, of variance 1.
     """
 
     views: ViewStack
     model: Parametrisation
     constraint: Constraint
+    noise: Noise | None = None
 
     def jacobian(self, state: Geometry) -> Array:
         """Linearise the reprojection of every point.
@@ -133,6 +140,8 @@ class Adjustment:
         A step of ln f moves the boards away in proportion, so that their size in the image stays: the valley
         along which focal length and distance compensate each other is straight then, and quickly walked.
         """
+        shrink = 1 / np.maximum(np.abs(shared[:, 0]) / LARGEST_FOCAL_STEP, 1)
+        shared, local = shared * shrink[:, None], local * shrink[:, None, None]
         position = state.position + local[..., 3:]
         if isinstance(self.model, ScaleFree):
             position[..., 2] += state.position[..., 2] * np.expm1(shared[:, None, 0])
@@ -143,9 +152,23 @@ class Adjustment:
         squares: Array = (self.jacobian(state)[:, :, -1] ** 2).sum(axis=(-2, -1))
         return squares
 
+    def variance(self, squares: Array) -> Array:
+        """Variance (B,) of an image point of weight 1, px^2, for sums of squared residuals (B,)."""
+        return np.ones_like(squares) if self.noise is None else self.noise.variance(squares)
+
+    def objective(self, squares: Array, shared_squares: Array) -> Array:
+        """Negative log posterior (B,), up to a constant, for sums of squares of residuals and constraints."""
+        if self.noise is None:
+            return 0.5 * (squares + shared_squares)
+        return self.noise.objective(squares, shared_squares)
+
+    def believing(self, noise: Noise) -> Adjustment:
+        """Judge the same residuals by another noise."""
+        return replace(self, noise=noise)
+
     def take(self, items: NDArray[np.intp]) -> Adjustment:
-        """Keep some starts only: all share the views."""
-        return self
+        """Keep some starts only."""
+        return self if self.noise is None else replace(self, noise=self.noise.take(items))
 
 
 @dataclass(frozen=True)

@@ -122,6 +122,12 @@ class _HomographyProblem:
     def retract(self, state: _Entries, shared: Array, local: Array) -> _Entries:
         return _Entries(state.entries + shared)
 
+    def variance(self, squares: Array) -> Array:
+        return np.ones_like(squares)
+
+    def objective(self, squares: Array, shared_squares: Array) -> Array:
+        return squares
+
     def take(self, items: NDArray[np.intp]) -> _HomographyProblem:
         return _HomographyProblem(self.source[items], self.target[items], self.scale[items])
 

@@ -20,7 +20,6 @@ least squares).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Generic, NamedTuple, Protocol, TypeVar
@@ -69,9 +68,21 @@ class NormalEquations(NamedTuple):
         total: Array = self.groups[:, :, -1, -1].sum(axis=1)
         return total
 
+    @property
+    def shared_squares(self) -> Array:
+        """(B,) |c|^2."""
+        return self.shared[:, -1, -1]
+
+    def squares_after(self, shared: Array, local: Array) -> Array:
+        """(B,) |r + J step|^2."""
+        one = np.ones((*local.shape[:2], 1))
+        shared = np.broadcast_to(shared[:, None], (*local.shape[:2], shared.shape[1]))
+        step = np.concatenate([local, shared, one], axis=2)[..., None]
+        return (np.swapaxes(step, -1, -2) @ self.groups @ step).sum(axis=(1, 2, 3))
+
     def cost(self, variance: Array) -> Array:
         """(B,) F, NaN where the state is not allowed."""
-        cost: Array = 0.5 * (self.squares / variance + self.shared[:, -1, -1])
+        cost: Array = 0.5 * (self.squares / variance + self.shared_squares)
         return cost
 
 
@@ -83,6 +94,12 @@ class Problem(Protocol[State]):
 
     def retract(self, state: State, shared: Array, local: Array) -> State:
         """Step away from a state: shared (B, S), local (B, V, L)."""
+
+    def variance(self, squares: Array) -> Array:
+        """Variance v (B,) of the rows r for their sums of squares (B,)."""
+
+    def objective(self, squares: Array, shared_squares: Array) -> Array:
+        """What tells the better of two minima (B,), for the sums of squares (B,) of the rows r and c."""
 
     def take(self, items: NDArray[np.intp]) -> Problem[State]:
         """Keep some items of the batch only."""
@@ -117,6 +134,7 @@ class Minimum(Generic[State]):
     equations : NormalEquations
         Linearised there.
     variance : (B,)
+    objective : (B,) infinite for items that did not start from an allowed state
     stop : (B,) of :class:`Stop`
     iterations : (B,) steps tried
     """
@@ -124,30 +142,21 @@ class Minimum(Generic[State]):
     state: State
     equations: NormalEquations
     variance: Array
+    objective: Array
     stop: NDArray[np.int8]
     iterations: NDArray[np.int64]
 
-    @property
-    def cost(self) -> Array:
-        """(B,) F, infinite for items that did not start from an allowed state."""
-        cost = self.equations.cost(self.variance)
-        return np.where(np.isnan(cost), np.inf, cost)
 
-
-Variance = Callable[[Array], Array]
-"""Variance (B,) of the rows of the groups for their sums of squares (B,)."""
-
-
-def unit_variance(squares: Array) -> Array:
-    """The rows of the groups are in units of their standard deviation."""
-    return np.ones_like(squares)
+    def best(self) -> Minimum[State]:
+        """Keep the item of lowest objective."""
+        item = np.array([np.argmin(self.objective)])
+        state, equations = _take(self.state, item), _take(self.equations, item)
+        rest = (part[item] for part in (self.variance, self.objective, self.stop, self.iterations))
+        return Minimum(state, equations, *rest)
 
 
 def minimise(
-    problem: Problem[State],
-    start: State,
-    tolerances: Tolerances = Tolerances(),
-    variance: Variance = unit_variance,
+    problem: Problem[State], start: State, tolerances: Tolerances = Tolerances(), race: bool = False
 ) -> Minimum[State]:
     """Minimise every item of a batch from its own start.
 
@@ -158,7 +167,8 @@ def minimise(
     start : tuple of arrays
         Batch first.
     tolerances : Tolerances
-    variance : callable
+    race : bool
+        End all as soon as the item of lowest objective has converged.
 
     Returns
     -------
@@ -166,15 +176,16 @@ def minimise(
         An item whose start is not allowed (infinite cost) stops at once, as stalled, with infinite cost.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _minimise(problem, start, tolerances, variance)
+        return _minimise(problem, start, tolerances, race)
 
 
 def _minimise(
-    problem: Problem[State], start: State, tolerances: Tolerances, variance: Variance
+    problem: Problem[State], start: State, tolerances: Tolerances, race: bool
 ) -> Minimum[State]:
     equations = problem.linearise(start)
+    whole = problem
     # What is not allowed is NaN from here on.
-    v = variance(equations.squares) + 0 * equations.squares
+    v = problem.variance(equations.squares) + 0 * equations.squares
     size = len(v)
     final = _Final(tuple(part.copy() for part in start), NormalEquations(*(p.copy() for p in equations)), v)
     stop, iterations = np.full(size, Stop.STALLED, dtype=np.int8), np.zeros(size, dtype=np.int64)
@@ -190,10 +201,11 @@ def _minimise(
         converged = (predicted <= tolerances.decrease + tolerances.relative * cost) & (damping <= 1)
         stalled = damping > LARGEST_DAMPING
         going_on = ~(converged | stalled)
-        if not going_on.all() or iteration == tolerances.iterations:
+        won = race and converged.any() and converged[np.argmin(problem.objective(equations.squares, equations.shared_squares))]
+        if won or not going_on.all() or iteration == tolerances.iterations:
             stop[active], iterations[active] = np.where(stalled, Stop.STALLED, converged), iteration
             final.store(active, state, equations, v)
-            if iteration == tolerances.iterations or not going_on.any():
+            if won or iteration == tolerances.iterations or not going_on.any():
                 break
             left = np.flatnonzero(going_on)
             active, damping, growth, cost = active[left], damping[left], growth[left], cost[left]
@@ -210,9 +222,10 @@ def _minimise(
             state = _where(better, trial, state)
             equations = _where(better, trial_equations, equations)
         damping, growth = _damp(better, decrease / predicted, damping, growth)
-        v = variance(equations.squares)
+        v = problem.variance(equations.squares)
     # A State is a named tuple, which takes its parts one by one.
-    return Minimum(type(start)(*final.state), final.equations, final.variance, stop, iterations)
+    objective = np.nan_to_num(whole.objective(final.equations.squares, final.equations.shared_squares), nan=np.inf)
+    return Minimum(type(start)(*final.state), final.equations, final.variance, objective, stop, iterations)
 
 
 class _Final(NamedTuple):

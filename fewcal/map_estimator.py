@@ -17,8 +17,8 @@ from .closed_form import simplified_intrinsics
 from .constraints import Priors
 from .errors import DegenerateViews
 from .homography import homographies
-from .least_squares import Minimum, Stop, Tolerances, minimise
-from .noise import Noise, total_sigma
+from .least_squares import Minimum, NormalEquations, Stop, Tolerances, minimise, solve
+from .noise import Noise
 from .parametrisation import ScaleFree
 from .planar_pose import planar_poses
 from .views import ViewStack
@@ -35,16 +35,17 @@ FOCAL_LIMITS = (0.05, 100.0)
 """Closed-form focal lengths outside this range, in max(width, height), are no use as starts."""
 ENUMERATED_VIEWS = 3
 """Up to here both poses of every view are combined, 2^V starts a focal length; more views settle it."""
-SAME = 1e-3
-"""Two starts that agree to this in every unknown of the camera have found one minimum."""
 HOPELESS = 50.0
 """Difference of the objective at which a minimum is given up: exp(-50) is its share of the probability."""
-KEPT_STARTS = 4
-"""Distinct minima followed to the end."""
 
-_COARSE = Tolerances(decrease=1e-2, relative=1e-3, iterations=25)
-_ROUND = Tolerances(decrease=1e-4, relative=1e-4, iterations=50)
-_FINE = Tolerances(decrease=1e-12, relative=1e-12)
+TRUST_LEVELS = 6
+"""Standard deviations looked at between the first and the one of trust."""
+WORTHWHILE = 0.1
+"""Gain in the objective, foreseen, for which the other explanation is followed."""
+
+_COARSE = Tolerances(decrease=0.5, relative=0.0, iterations=25)
+_ROUND = Tolerances(decrease=1e-2, relative=0.0, iterations=50)
+_FINE = Tolerances(decrease=1e-7, relative=0.0)
 
 
 def estimate_map(views: ViewStack, image_size: tuple[int, int], priors: Priors) -> Estimate:
@@ -80,27 +81,49 @@ class _Found(NamedTuple):
 
 def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
     """Find the best minimum for one camera model."""
-    width = max(model.image_size)
+    start, arrangement = _starts(views, model, priors)
     noise = Noise.of(views, priors)
-    problem = Adjustment(views, model, lambda theta: priors.rows(theta, width))
-    expected = float(total_sigma(np.array(noise.median)))
-    start = _starts(views, model, priors)
-    found = minimise(problem, start, _COARSE, lambda squares: np.full_like(squares, expected**2))
-    state = _best(found, noise, KEPT_STARTS)
-    # Noise and camera can explain the same residuals in two ways: much noise and a camera that the prior
-    # likes, or little noise and the camera that the data ask for. Both are followed, and judged at the end.
-    trusting = minimise(problem, state, _ROUND, lambda squares: np.full_like(squares, TRUSTING_PX**2))
-    lowest = float(noise.scatter(trusting.equations.squares).min())
-    state = Geometry(*(np.concatenate(parts) for parts in zip(state, trusting.state, strict=True)))
-    found = minimise(problem, state, _ROUND, noise.variance)
-    found = minimise(problem, _best(found, noise, 1), _FINE, noise.variance)
-    objective = float(_objective(found, noise)[0])
-    sigma = float(np.sqrt(found.variance[0]))
-    return _Found(Estimate(problem, found.state, sigma, Stop(int(found.stop[0]))), objective, lowest)
+    problem = Adjustment(views, model, priors.rows(max(model.image_size)), noise)
+    first = problem.believing(noise.known().repeat(len(arrangement)))
+    state = _contenders(minimise(first, start, _COARSE, race=True), arrangement)
+    found = minimise(problem.believing(noise.repeat(len(state.theta))), state, _FINE, race=True).best()
+    scatter, objective = _ahead(problem, noise, found)
+    if objective < found.objective[0] - WORTHWHILE:
+        trusting = minimise(problem.believing(noise.known(TRUSTING_PX)), found.state, _ROUND)
+        scatter = float(noise.scatter(trusting.equations.squares)[0])
+        other = minimise(problem, trusting.state, _FINE)
+        if other.objective[0] < found.objective[0]:
+            found = other
+    estimate = Estimate(problem, found.state, float(np.sqrt(found.variance[0])), Stop(int(found.stop[0])))
+    return _Found(estimate, float(found.objective[0]), scatter)
 
 
-def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> Geometry:
-    """Every focal length with every combination of the two poses of each view."""
+def _ahead(problem: Adjustment, noise: Noise, found: Minimum[Geometry]) -> tuple[float, float]:
+    """Foresee what becomes of a minimum when the data are trusted more, up to their word.
+
+    Noise and camera can explain the same residuals in two ways: much noise and a camera that the prior likes,
+    or little noise and the camera that the data ask for.
+
+    Returns
+    -------
+    scatter : float
+        Left by the camera that the data ask for, in the linear model, pixels.
+    objective : float
+        Lowest on the way there.
+    """
+    sigma = np.geomspace(np.sqrt(found.variance[0]), TRUSTING_PX, TRUST_LEVELS)
+    equations = NormalEquations(*(np.repeat(part, len(sigma), axis=0) for part in found.equations))
+    shared, local, _ = solve(equations, sigma**2, np.zeros(len(sigma)))
+    squares = equations.squares_after(shared, local)
+    prior, _ = problem.constraint(found.state.theta + shared)
+    noise = noise.repeat(len(sigma))
+    return float(noise.scatter(squares)[-1]), float(noise.objective(squares, (prior**2).sum(axis=1)).min())
+
+
+def _starts(
+    views: ViewStack, model: ScaleFree, priors: Priors
+) -> tuple[Geometry, NDArray[np.intp]]:
+    """Every focal length with every combination of the two poses of each view, and its number (B,)."""
     H = homographies(views.points, views.pixels, views.weights)
     width = max(model.image_size)
     focal = [width * share for share in FOCAL_STARTS]
@@ -126,31 +149,21 @@ def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> Geometry:
     theta[..., 0] = np.log(f)[:, None]
     theta[..., 4:6] = priors.radial.mean(np.log(f / width))[0][:, None]
     theta = np.broadcast_to(theta, (len(f), len(choices), 8))
-    return Geometry(theta.reshape(-1, 8), R.reshape(-1, count, 3, 3), t.reshape(-1, count, 3))
+    start = Geometry(theta.reshape(-1, 8), R.reshape(-1, count, 3, 3), t.reshape(-1, count, 3))
+    return start, np.tile(np.arange(len(choices)), len(f))
 
 
-def _objective(found: Minimum[Geometry], noise: Noise) -> Array:
-    return noise.objective(found.equations.squares, found.equations.shared[:, -1, -1])
+def _contenders(found: Minimum[Geometry], arrangement: NDArray[np.intp]) -> Geometry:
+    """Keep the best start of each arrangement of the boards, unless it is hopeless.
 
-
-def _best(found: Minimum[Geometry], noise: Noise, count: int) -> Geometry:
-    """Keep the distinct minima of lowest objective, each judged at the scatter that suits it best."""
-    objective = _objective(found, noise)
-    usable = np.flatnonzero(np.isfinite(objective))
-    if not len(usable):
+    Given how the boards are tilted, to this side or to that, the camera has one minimum; the valley from
+    focal length to focal length is walked by :meth:`Adjustment.retract`.
+    """
+    best = np.full(arrangement.max() + 1, np.inf)
+    np.minimum.at(best, arrangement, found.objective)
+    if not np.isfinite(best.min()):
         raise DegenerateViews(
             "No camera has these views in front of it; check that object and image points belong together."
         )
-    kept = usable[_distinct(found.state.theta[usable], objective[usable])[:count]]
-    return Geometry(*(part[kept] for part in found.state))
-
-
-def _distinct(values: Array, objective: Array) -> NDArray[np.intp]:
-    """Items from best to worst, without the hopeless and those that agree with a better one."""
-    kept: list[int] = []
-    for item in np.argsort(objective, kind="stable"):
-        if objective[item] > objective.min() + HOPELESS:
-            break
-        if all(np.abs(values[item] - values[other]).max() > SAME for other in kept):
-            kept.append(int(item))
-    return np.array(kept)
+    good = (found.objective == best[arrangement]) & (found.objective < best.min() + HOPELESS)
+    return Geometry(*(part[good] for part in found.state))

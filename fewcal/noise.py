@@ -32,25 +32,40 @@ _NEWTON_STEPS = 6
 
 
 class Noise(NamedTuple):
-    """The noise of one set of views.
+    """The noise of some views, for each item of a batch.
 
     Attributes
     ----------
-    freedom : int
+    freedom : (B,)
         Rows less the unknowns that only data can settle: six a view and eight of the camera.
-    median, spread : float
-        Of the scatter's prior, pixels, and standard deviation of its logarithm.
+    median, spread : (B,)
+        Of the scatter's prior, pixels, and standard deviation of its logarithm; 0 where it is known.
     """
 
-    freedom: int
-    median: float
-    spread: float
+    freedom: Array
+    median: Array
+    spread: Array
 
     @classmethod
     def of(cls, views: ViewStack, priors: Priors) -> Noise:
-        """Count the degrees of freedom of some views."""
+        """Count the degrees of freedom of some views; a batch of one."""
         rows = 2 * int((views.weights > 0).sum())
-        return cls(max(rows - 6 * len(views.points) - 8, 0), *priors.corner_sigma_px)
+        median, spread = priors.corner_sigma_px
+        freedom = max(rows - 6 * len(views.points) - 8, 0)
+        return cls(np.array([float(freedom)]), np.array([median]), np.array([spread]))
+
+    def known(self, sigma: float | None = None) -> Noise:
+        """Scatter that is known: that of a total standard deviation in pixels, or the median."""
+        median = self.median if sigma is None else np.full_like(self.median, sigma / total_sigma(np.ones(1)))
+        return self._replace(median=median, spread=np.zeros_like(self.spread))
+
+    def repeat(self, size: int) -> Noise:
+        """The same for every item of a larger batch, from a batch of one."""
+        return Noise(*(np.repeat(part, size) for part in self))
+
+    def take(self, items: NDArray[np.intp]) -> Noise:
+        """Keep some items."""
+        return Noise(*(part[items] for part in self))
 
     def scatter(self, squares: Array) -> Array:
         """Scatter s (B,), pixels, for sums of squared residuals (B,): n (1 - q / s^2) + ln(s / s0) / tau^2 = 0.
@@ -61,7 +76,7 @@ class Noise(NamedTuple):
         """
         strength = 2 * self.spread**2 * self.freedom / CORRELATION**2
         with np.errstate(divide="ignore"):
-            c = np.log(strength * squares / (max(self.freedom, 1) * self.median**2)) + strength
+            c = np.log(strength * squares / (np.maximum(self.freedom, 1) * self.median**2)) + strength
         c = np.maximum(c, -700.0)
         log_z = np.where(c > 1, np.log(np.maximum(c, 1)), c)
         for _ in range(_NEWTON_STEPS):
@@ -84,7 +99,7 @@ class Noise(NamedTuple):
         """
         scatter = self.scatter(squares)
         sigma = total_sigma(scatter)
-        deviation = np.log(scatter / self.median) / self.spread
+        deviation = np.log(scatter / self.median) / np.maximum(self.spread, 1e-300)
         informative = self.freedom / CORRELATION**2
         objective: Array = 0.5 * (squares / sigma**2 + prior_squares + deviation**2) + informative * np.log(
             sigma

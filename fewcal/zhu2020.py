@@ -83,7 +83,7 @@ def _refine(problem: Adjustment, H: Array, intrinsics: Array) -> Estimate:
     theta = np.zeros((1, problem.model.size))
     theta[0, :5] = intrinsics
     found = minimise(problem, Geometry(theta, R[None], t[None]))
-    if not np.isfinite(found.cost[0]):
+    if not np.isfinite(found.objective[0]):
         raise DegenerateViews(
             'The closed form puts a board behind the camera; tilt the board more, or use method "map".'
         )

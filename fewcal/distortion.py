@@ -85,7 +85,43 @@ def distort_jacobians(points: Array, coefficients: Array) -> tuple[Array, Array]
     return d_points, d_coefficients
 
 
-def distort_rows(points: Array, coefficients: Array, by_coefficients: Array) -> tuple[Array, Array]:
+def monomials(points: Array) -> Array:
+    """Evaluate what the polynomial of k3 = 0 and its derivatives consist of; the points come last.
+
+    Parameters
+    ----------
+    points : (..., 2, N)
+
+    Returns
+    -------
+    (..., 13, N)
+        x, y, x^2, x y, y^2, the last three times r2, x and y times r2, x and y times r2^2, and 1.
+    """
+    terms = np.empty((*points.shape[:-2], 13, points.shape[-1]))
+    terms[..., 0:2, :] = points
+    np.multiply(points, points, out=terms[..., 2:5:2, :])
+    np.multiply(points[..., 0, :], points[..., 1, :], out=terms[..., 3, :])
+    r2 = (terms[..., 2, :] + terms[..., 4, :])[..., None, :]
+    np.multiply(terms[..., 2:5, :], r2, out=terms[..., 5:8, :])
+    np.multiply(points, r2, out=terms[..., 8:10, :])
+    np.multiply(terms[..., 8:10, :], r2, out=terms[..., 10:12, :])
+    terms[..., 12, :] = 1
+    return terms
+
+
+POLYNOMIAL = np.zeros((5, 6, 13))
+"""Terms of :func:`monomials` in x', y', dx'/dx, dy'/dx, dx'/dy and dy'/dy, for each of 1, k1, k2, p1, p2."""
+POLYNOMIAL[0, [0, 1, 2, 5], [0, 1, 12, 12]] = 1
+POLYNOMIAL[1, [0, 1, 2, 2, 3, 4, 5, 5], [8, 9, 2, 4, 3, 3, 2, 4]] = 1, 1, 3, 1, 2, 2, 1, 3
+POLYNOMIAL[2, [0, 1, 2, 2, 3, 4, 5, 5], [10, 11, 5, 7, 6, 6, 5, 7]] = 1, 1, 5, 1, 4, 4, 1, 5
+POLYNOMIAL[3, [0, 1, 1, 2, 3, 4, 5], [3, 2, 4, 1, 0, 0, 1]] = 2, 1, 3, 2, 2, 2, 6
+POLYNOMIAL[4, [0, 0, 1, 2, 3, 4, 5], [2, 4, 3, 0, 1, 1, 0]] = 3, 1, 2, 6, 2, 2, 2
+_BY_COEFFICIENT = POLYNOMIAL[1:, :2].reshape(8, 13)
+
+
+def distort_scaled(
+    points: Array, coefficients: Array, before: Array, after: Array
+) -> tuple[Array, Array, Array]:
     """Distort with k3 = 0 and differentiate; for the inner loop, with the points along the last axis.
 
     Parameters
@@ -93,35 +129,31 @@ def distort_rows(points: Array, coefficients: Array, by_coefficients: Array) -> 
     points : (B, V, 2, N)
     coefficients : (B, 4)
         k1, k2, p1, p2.
-    by_coefficients : (B, V, 4, 2, N), output
-        Derivative of both coordinates by each coefficient.
+    before, after : (B, 2)
+        The points are scaled by `before`, distorted, and scaled by `after`.
 
     Returns
     -------
     distorted : (B, V, 2, N)
-    jacobian : (B, V, 3, N)
-        dx'/dx, dx'/dy = dy'/dx and dy'/dy.
+    by_points : (B, V, 2, 2, N)
+        Derivative by x, then by y, of both coordinates.
+    by_coefficients : (B, V, 4, 2, N)
+        Derivative by each coefficient of both coordinates.
     """
-    k1, k2, p1, p2 = coefficients.T[:, :, None, None]
-    x, y = points[:, :, 0], points[:, :, 1]
-    products = points[:, :, [0, 0, 1]] * points[:, :, [0, 1, 1]]
-    r2 = products[:, :, 0] + products[:, :, 2]
-    basis = by_coefficients
-    np.multiply(points, r2[:, :, None], out=basis[:, :, 0])
-    np.multiply(basis[:, :, 0], r2[:, :, None], out=basis[:, :, 1])
-    doubled = 2 * products
-    basis[:, :, 2, 0] = basis[:, :, 3, 1] = doubled[:, :, 1]
-    np.add(doubled[:, :, 2], r2, out=basis[:, :, 2, 1])
-    np.add(doubled[:, :, 0], r2, out=basis[:, :, 3, 0])
-    rows = basis.reshape(*basis.shape[:3], -1)
-    distorted = points + (coefficients[:, None, None] @ rows).reshape(points.shape)
-    linear = np.stack([6 * p2, 2 * p1, 2 * p1, 2 * p2, 2 * p2, 6 * p1], axis=-1)
-    bend = k2 * r2
-    jacobian = linear.reshape(len(linear), 1, 3, 2) @ points + doubled * (k1 + 2 * bend)[:, :, None]
-    radial = 1 + r2 * (k1 + bend)
-    jacobian[:, :, 0] += radial
-    jacobian[:, :, 2] += radial
-    return distorted, jacobian
+    size, views, _, count = points.shape
+    combination = np.empty((size, 14, 13))
+    np.add(
+        POLYNOMIAL[0], (coefficients @ POLYNOMIAL[1:].reshape(4, -1)).reshape(-1, 6, 13), out=combination[:, :6]
+    )
+    combination[:, 6:] = _BY_COEFFICIENT
+    combination.reshape(size, 7, 2, 13)[...] *= after[:, None, :, None]
+    combination[:, 2:6].reshape(size, 2, 2, 13)[...] *= before[:, :, None, None]
+    values = combination[:, None] @ monomials(points * before[:, None, :, None])
+    return (
+        values[:, :, :2],
+        values[:, :, 2:6].reshape(size, views, 2, 2, count),
+        values[:, :, 6:].reshape(size, views, 4, 2, count),
+    )
 
 
 def fold_radius(distortion: Array) -> Array:

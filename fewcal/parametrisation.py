@@ -8,12 +8,11 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .distortion import distort_rows
+from .distortion import distort_scaled
 
 Array = NDArray[np.float64]
 
-_SYMMETRIC = np.array([[0, 1], [1, 2]])
-"""Entries of a symmetric 2x2 matrix that is stored as three numbers."""
+_EYE = np.eye(2)[:, :, None]
 _TANGENTIAL_SWAPPED = np.array([0, 1, 3, 2])
 """The paper's k1, k2, k3, k4 are k1, k2, p2, p1 of plumb_bob, and the other way round."""
 
@@ -113,13 +112,7 @@ class ScaleFree(NamedTuple):
         before[:] = fx[:, None] / half
         after[:] = half
         (before if self.in_pixels else after)[:, 1] *= aspect
-        distorted, jacobian = distort_rows(
-            rays * before[:, None, :, None], theta[:, 4:8], by_theta[:, :, 4:8]
-        )
-        by_rays: Array = jacobian[:, :, _SYMMETRIC]
-        by_rays *= (before[:, :, None] * after[:, None, :])[:, None, :, :, None]
-        by_theta[:, :, 4:8] *= after[:, None, None, :, None]
-        distorted *= after[:, None, :, None]
+        distorted, by_rays, by_theta[:, :, 4:8] = distort_scaled(rays, theta[:, 4:8], before, after)
         along = by_rays * rays[:, :, :, None]
         np.add(along[:, :, 0], along[:, :, 1], out=by_theta[:, :, 0])
         if self.in_pixels:
@@ -127,9 +120,8 @@ class ScaleFree(NamedTuple):
         else:
             by_theta[:, :, 1, 0] = 0
             by_theta[:, :, 1, 1] = distorted[:, :, 1]
-        by_theta[:, :, 2:4] = self.diagonal * np.eye(2)[:, :, None]
-        distorted += (self.centre + self.diagonal * theta[:, 2:4])[:, None, :, None]
-        return distorted, by_rays
+        by_theta[:, :, 2:4] = self.diagonal * _EYE
+        return distorted + (self.centre + self.diagonal * theta[:, 2:4])[:, None, :, None], by_rays
 
     def pixel_coefficients(self, theta: Array) -> Array:
         """(..., 4) k1, k2, k3, k4 of the paper's eqs 10-13 that the unknowns mean with `in_pixels`."""
@@ -161,18 +153,15 @@ class PixelModel(NamedTuple):
         fx, fy, _, _, skew = theta[:, :5].T[:, :, None, None]
         x, y = rays[:, :, 0], rays[:, :, 1]
         undistorted = np.stack([fx * x + skew * y, fy * y], axis=2)
-        by_coefficients = np.empty((*rays.shape[:2], 4, *rays.shape[2:]))
         coefficients = self.coefficients(theta)[:, _TANGENTIAL_SWAPPED]
-        distorted, jacobian = distort_rows(undistorted, coefficients, by_coefficients)
-        by_u, by_v = np.moveaxis(jacobian[:, :, _SYMMETRIC], 2, 0)
-        by_theta[:, :, 0] = by_u * x[:, :, None]
-        by_theta[:, :, 1] = by_v * y[:, :, None]
-        by_theta[:, :, 2:4] = np.eye(2)[:, :, None]
-        by_theta[:, :, 4] = by_u * y[:, :, None]
+        one = np.ones((len(theta), 2))
+        distorted, by_uv, by_coefficients = distort_scaled(undistorted, coefficients, one, one)
+        by_theta[:, :, 0:2] = by_uv * rays[:, :, :, None]
+        by_theta[:, :, 2:4] = _EYE
+        by_theta[:, :, 4] = by_uv[:, :, 0] * y[:, :, None]
         by_theta[:, :, 5:] = by_coefficients[:, :, _TANGENTIAL_SWAPPED[: self.size - 5]]
-        by_rays = np.stack(
-            [fx[:, :, None] * by_u, skew[:, :, None] * by_u + fy[:, :, None] * by_v], axis=2
-        )
+        by_rays = by_uv * theta[:, None, :2, None, None]
+        by_rays[:, :, 1] += skew[:, :, None] * by_uv[:, :, 0]
         return distorted + theta[:, None, 2:4, None], by_rays
 
 

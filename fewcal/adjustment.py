@@ -141,8 +141,10 @@ class Adjustment:
         A step of ln f moves the boards away in proportion, so that their size in the image stays: the valley
         along which focal length and distance compensate each other is straight then, and quickly walked.
         """
-        shrink = 1 / np.maximum(np.abs(shared[:, 0]) / LARGEST_FOCAL_STEP, 1)
-        shared, local = shared * shrink[:, None], local * shrink[:, None, None]
+        far = np.abs(shared[:, 0]) / LARGEST_FOCAL_STEP
+        if far.max() > 1:
+            shrink = 1 / np.maximum(far, 1)
+            shared, local = shared * shrink[:, None], local * shrink[:, None, None]
         position = state.position + local[..., 3:]
         if isinstance(self.model, ScaleFree):
             position[..., 2] += state.position[..., 2] * np.expm1(shared[:, None, 0])

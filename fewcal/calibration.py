@@ -202,7 +202,7 @@ def _map_solution(found: Estimate, model: ScaleFree, priors: Priors) -> _Solutio
         coefficients = from_plumb_bob(camera)
     rows = found.adjustment.rows(found.geometry, found.sigma)
     width = max(model.image_size)
-    result = posterior(rows, priors.rows(width)(priors.mode(theta, width)[None])[1][0])
+    result = posterior(rows, found.adjustment.constraint(priors.mode(theta, width)[None])[1][0])
     J = model.natural_jacobian(theta)
     return _Solution(
         camera,

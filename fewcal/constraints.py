@@ -216,15 +216,14 @@ class PriorRows:
             priors.tangential,
             priors.tangential,
         )
-        mean = np.insert(np.array([d.mean for d in single]), 4, radial.intercept)
+        mean, scale, nu = np.array([(d.mean, d.scale, d.nu) for d in single]).T[:, _SINGLE]
         mean[0] += math.log(width)
-        whiten = np.diag(np.insert(np.array([1 / d.scale for d in single]), 4, (0.0, 0.0)))
+        mean[4:6], nu[4:6] = radial.intercept, radial.nu
+        whiten = np.diag(1 / scale)
         whiten[4:6, 4:6] = np.linalg.inv(np.linalg.cholesky(np.array(radial.covariance)))
         slope = np.zeros(8)
         slope[4:6] = -whiten[4:6, 4:6] @ np.array(radial.slope)
-        tail = np.insert(np.array([1 / d.nu for d in single]), 4, 1 / radial.nu)
-        tail = np.insert(tail, 4, 1 / radial.nu)
-        return cls(mean, whiten, slope, math.log(width) + math.log(radial.reference), tail)
+        return cls(mean, whiten, slope, math.log(width) + math.log(radial.reference), 1 / nu)
 
     def __call__(self, theta: Array) -> tuple[Array, Array]:
         """Compute the rows.
@@ -249,6 +248,8 @@ class PriorRows:
         return gain * z, by_z @ by_theta
 
 
+_SINGLE = np.array([0, 1, 2, 3, 4, 4, 4, 5])
+"""Prior of each unknown among the single ones; the radial terms have their own."""
 _TOGETHER = np.eye(8)
 """Which rows share one prior: the two radial terms do."""
 _TOGETHER[4:6, 4:6] = 1

@@ -10,10 +10,17 @@ plumb_bob applies it to normalised coordinates, the paper to pixels about the pr
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+_BOUND_GRID = np.linspace(0, 3, 61)
+"""Undistorted radii looked at, as a share of the distorted one."""
+_BOUND_MARGIN = 0.05
+"""More than the slope of a lens changes between two of them."""
 
 _NEWTON_STEPS = 50
 """Both inversions stop by themselves, in about 6 steps; this only bounds a sequence that does not."""
@@ -181,6 +188,31 @@ def fold_radius(distortion: Array) -> Array:
     real = (np.abs(roots.imag) <= 1e-7 * size) & (roots.real > 1e-12 * (1 + size))
     largest = np.max(np.where(real, roots.real, 0), axis=-1)
     return np.where(largest > 0, 1 / np.sqrt(np.where(largest > 0, largest, 1)), np.inf)
+
+
+def surely_invertible(radius: float, coefficients: Array) -> bool:
+    """Whether a bound proves that every distorted point within a radius has one undistorted point.
+
+    Where the smaller eigenvalue of the Jacobian, the lesser of radial factor and slope of the radial map, is
+    more than the 6 |p| r that p1 and p2 can take from it, all over a disc, the map is one to one there; and the
+    disc of radius r covers all within r (1 + k1 r^2 + ...) - 3 |p| r^2.
+
+    Parameters
+    ----------
+    radius : float
+        In the unit of the distorted coordinates.
+    coefficients : (5,)
+        k1, k2, p1, p2, k3.
+    """
+    k1, k2, p1, p2, k3 = coefficients.tolist()
+    tangential = math.hypot(p1, p2)
+    r = radius * _BOUND_GRID
+    r2 = r * r
+    factor = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * 7 * k3))
+    proven = np.minimum(factor, slope) > 6 * tangential * r + _BOUND_MARGIN
+    proven &= np.logical_and.accumulate(proven)
+    return bool((proven & (r * factor - 3 * tangential * r2 > radius)).any())
 
 
 def undistort(points: Array, coefficients: Array) -> Array:

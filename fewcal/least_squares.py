@@ -249,30 +249,30 @@ def solve(equations: NormalEquations, variance: Array, damping: Array) -> tuple[
     -------
     shared : (B, S)
     local : (B, V, L)
-    predicted : (B,) decrease of the cost in the linear model
+    predicted : (B,) decrease of the cost in the linear model, damping included
     """
     groups, constraint = equations
     size = constraint.shape[-1] - 1
     count = groups.shape[-1] - size - 1
     total = groups[:, :, count:, count:].sum(axis=1) + variance[:, None, None] * constraint
-    # Scaled to a unit diagonal, which spares half the digits.
-    scale = _scale(total[:, :-1, :-1])
-    scale_local = _scale(groups[:, :, :count, :count])
-    blocks = groups[:, :, :count, :count] * scale_local[..., None] * scale_local[..., None, :]
-    blocks[..., np.arange(count), np.arange(count)] = 1 + damping[:, None, None]
-    cross = groups[:, :, :count, count:] * scale_local[..., None]
+    # All scaled to a unit diagonal, which spares half the digits.
+    scale_local = _scale(groups)[:, :, :count, None]
+    blocks = groups[:, :, :count, :count] * (scale_local * np.swapaxes(scale_local, -1, -2))
+    blocks[:, :, *_diagonal(count)] = 1 + damping[:, None, None]
+    cross = groups[:, :, :count, count:] * scale_local
     eliminated = _solve(blocks, cross)  # (B, V, L, S + 1)
-    reduced = total - (np.swapaxes(cross, -1, -2) @ eliminated).sum(axis=1)
-    H = reduced[:, :-1, :-1] * scale[:, :, None] * scale[:, None, :]
-    H[:, np.arange(size), np.arange(size)] += damping[:, None]
-    gradient = reduced[:, :-1, -1] * scale
-    shared = -_solve(H, gradient[..., None])
-    step = shared[..., 0] * scale
-    local = -(eliminated[..., :size] @ step[:, None, :, None])[..., 0] - eliminated[..., size]
-    # 1/2 (lambda |D step|^2 - g . step), with what the elimination of the groups gains by itself.
-    squares = (shared[..., 0] ** 2).sum(axis=1) + (local**2).sum(axis=(1, 2))
-    descent = -(total[:, :-1, -1] * step).sum(axis=1) - (cross[..., size] * local).sum(axis=(1, 2))
-    return step, local * scale_local, 0.5 * (descent + damping * squares) / variance
+    gained = (np.swapaxes(cross, -1, -2) @ eliminated).sum(axis=1)
+    scale = _scale(total)[:, :-1, None]
+    reduced = (total - gained)[:, :-1] * scale
+    H = reduced[:, :, :-1] * np.swapaxes(scale, -1, -2)
+    H[:, *_diagonal(size)] += damping[:, None]
+    gradient = reduced[:, :, -1:]
+    step = _solve(H, -gradient)
+    predicted = gained[:, -1, -1] - (gradient * step).sum(axis=(1, 2))
+    step *= scale
+    # The last column of what was eliminated belongs to the residual: its unknown is 1.
+    local = -(eliminated[..., :-1] @ step[:, None] + eliminated[..., -1:]) * scale_local
+    return step[..., 0], local[..., 0], 0.5 * predicted / variance
 
 
 def _damp(better: NDArray[np.bool_], gain: Array, damping: Array, growth: Array) -> tuple[Array, Array]:
@@ -285,7 +285,12 @@ def _damp(better: NDArray[np.bool_], gain: Array, damping: Array, growth: Array)
 def _scale(matrices: Array) -> Array:
     diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
     # A column without any row to hold it keeps its value; any positive number does that.
-    return 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    return 1 / np.sqrt(np.maximum(diagonal, 1e-200))
+
+
+def _diagonal(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    index = np.arange(size)
+    return index, index
 
 
 def _solve(matrices: Array, right: Array) -> Array:

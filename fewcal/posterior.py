@@ -50,10 +50,10 @@ def posterior(rows: Rows, prior: Array | None = None) -> Posterior:
     """
     reduced = camera_rows(rows)
     constraint = rows.prior_by_camera
-    prior = constraint if prior is None else prior
+    known = covariance_from_rows(constraint if prior is None else prior)
     return Posterior(
         covariance_from_rows(np.concatenate([reduced.reshape(-1, reduced.shape[-1]), constraint])),
-        covariance_from_rows(prior) if np.linalg.matrix_rank(prior) == prior.shape[1] else None,
+        known if np.isfinite(known).all() else None,
     )
 
 

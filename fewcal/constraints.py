@@ -182,9 +182,9 @@ class Priors:
 class PriorRows:
     """The rows of all priors on a camera, computed at once.
 
-    Each unknown, or the pair of radial terms, is first brought to zero mean and unit scale, z; a t prior of nu
-    degrees of freedom in d dimensions is then r = z sqrt((nu + d) ln(1 + |z|^2 / nu) / |z|^2), and a normal one
-    the same with nu infinite.
+    Each unknown, or the pair of radial terms, is first brought to zero mean and unit scale, z; a t prior of
+    nu degrees of freedom in d dimensions is then r = z sqrt((nu + d) ln(1 + |z|^2 / nu) / |z|^2), and a
+    normal one the same with nu infinite.
 
     Attributes
     ----------

@@ -150,7 +150,9 @@ def distort_scaled(
     size, views, _, count = points.shape
     combination = np.empty((size, 14, 13))
     np.add(
-        POLYNOMIAL[0], (coefficients @ POLYNOMIAL[1:].reshape(4, -1)).reshape(-1, 6, 13), out=combination[:, :6]
+        POLYNOMIAL[0],
+        (coefficients @ POLYNOMIAL[1:].reshape(4, -1)).reshape(-1, 6, 13),
+        out=combination[:, :6],
     )
     combination[:, 6:] = _BY_COEFFICIENT
     combination.reshape(size, 7, 2, 13)[...] *= after[:, None, :, None]
@@ -194,8 +196,8 @@ def surely_invertible(radius: float, coefficients: Array) -> bool:
     """Whether a bound proves that every distorted point within a radius has one undistorted point.
 
     Where the smaller eigenvalue of the Jacobian, the lesser of radial factor and slope of the radial map, is
-    more than the 6 |p| r that p1 and p2 can take from it, all over a disc, the map is one to one there; and the
-    disc of radius r covers all within r (1 + k1 r^2 + ...) - 3 |p| r^2.
+    more than the 6 |p| r that p1 and p2 can take from it, all over a disc, the map is one to one there; and
+    the disc of radius r covers all within r (1 + k1 r^2 + ...) - 3 |p| r^2.
 
     Parameters
     ----------

@@ -13,9 +13,9 @@ linearly with the number of views.
 The damping is Marquardt's, lambda diag(J'J), which makes the steps independent of the units of the unknowns;
 lambda follows the gain ratio.
 
-Where the variance follows the residuals it is set anew after every step. That descends too: F with v(|r|^2) is
-the tangent of a function whose slope 1 / 2v falls as |r|^2 grows, and lies above it (iteratively reweighted
-least squares).
+Where the variance follows the residuals it is set anew after every step. That descends too: F with v(|r|^2)
+is the tangent of a function whose slope 1 / 2v falls as |r|^2 grows, and lies above it (iteratively
+reweighted least squares).
 """
 
 from __future__ import annotations
@@ -71,14 +71,16 @@ class NormalEquations(NamedTuple):
     @property
     def shared_squares(self) -> Array:
         """(B,) |c|^2."""
-        return self.shared[:, -1, -1]
+        squares: Array = self.shared[:, -1, -1]
+        return squares
 
     def squares_after(self, shared: Array, local: Array) -> Array:
         """(B,) |r + J step|^2."""
         one = np.ones((*local.shape[:2], 1))
         shared = np.broadcast_to(shared[:, None], (*local.shape[:2], shared.shape[1]))
         step = np.concatenate([local, shared, one], axis=2)[..., None]
-        return (np.swapaxes(step, -1, -2) @ self.groups @ step).sum(axis=(1, 2, 3))
+        squares: Array = (np.swapaxes(step, -1, -2) @ self.groups @ step).sum(axis=(1, 2, 3))
+        return squares
 
     def cost(self, variance: Array) -> Array:
         """(B,) F, NaN where the state is not allowed."""
@@ -146,7 +148,6 @@ class Minimum(Generic[State]):
     stop: NDArray[np.int8]
     iterations: NDArray[np.int64]
 
-
     def best(self) -> Minimum[State]:
         """Keep the item of lowest objective."""
         item = np.array([np.argmin(self.objective)])
@@ -179,9 +180,7 @@ def minimise(
         return _minimise(problem, start, tolerances, race)
 
 
-def _minimise(
-    problem: Problem[State], start: State, tolerances: Tolerances, race: bool
-) -> Minimum[State]:
+def _minimise(problem: Problem[State], start: State, tolerances: Tolerances, race: bool) -> Minimum[State]:
     equations = problem.linearise(start)
     whole = problem
     # What is not allowed is NaN from here on.
@@ -201,7 +200,11 @@ def _minimise(
         converged = (predicted <= tolerances.decrease + tolerances.relative * cost) & (damping <= 1)
         stalled = damping > LARGEST_DAMPING
         going_on = ~(converged | stalled)
-        won = race and converged.any() and converged[np.argmin(problem.objective(equations.squares, equations.shared_squares))]
+        won = (
+            race
+            and converged.any()
+            and converged[np.argmin(problem.objective(equations.squares, equations.shared_squares))]
+        )
         if won or not going_on.all() or iteration == tolerances.iterations:
             stop[active], iterations[active] = np.where(stalled, Stop.STALLED, converged), iteration
             final.store(active, state, equations, v)
@@ -224,7 +227,9 @@ def _minimise(
         damping, growth = _damp(better, decrease / predicted, damping, growth)
         v = problem.variance(equations.squares)
     # A State is a named tuple, which takes its parts one by one.
-    objective = np.nan_to_num(whole.objective(final.equations.squares, final.equations.shared_squares), nan=np.inf)
+    objective = np.nan_to_num(
+        whole.objective(final.equations.squares, final.equations.shared_squares), nan=np.inf
+    )
     return Minimum(type(start)(*final.state), final.equations, final.variance, objective, stop, iterations)
 
 
@@ -238,7 +243,9 @@ class _Final(NamedTuple):
     def store(
         self, items: NDArray[np.intp], state: tuple[Array, ...], equations: NormalEquations, v: Array
     ) -> None:
-        for target, values in zip((*self.state, *self.equations, self.variance), (*state, *equations, v), strict=True):
+        for target, values in zip(
+            (*self.state, *self.equations, self.variance), (*state, *equations, v), strict=True
+        ):
             target[items] = values
 
 
@@ -258,14 +265,15 @@ def solve(equations: NormalEquations, variance: Array, damping: Array) -> tuple[
     # All scaled to a unit diagonal, which spares half the digits.
     scale_local = _scale(groups)[:, :, :count, None]
     blocks = groups[:, :, :count, :count] * (scale_local * np.swapaxes(scale_local, -1, -2))
-    blocks[:, :, *_diagonal(count)] = 1 + damping[:, None, None]
+    index = np.arange(max(count, size))
+    blocks[:, :, index[:count], index[:count]] = 1 + damping[:, None, None]
     cross = groups[:, :, :count, count:] * scale_local
     eliminated = _solve(blocks, cross)  # (B, V, L, S + 1)
     gained = (np.swapaxes(cross, -1, -2) @ eliminated).sum(axis=1)
     scale = _scale(total)[:, :-1, None]
     reduced = (total - gained)[:, :-1] * scale
     H = reduced[:, :, :-1] * np.swapaxes(scale, -1, -2)
-    H[:, *_diagonal(size)] += damping[:, None]
+    H[:, index[:size], index[:size]] += damping[:, None]
     gradient = reduced[:, :, -1:]
     step = _solve(H, -gradient)
     predicted = gained[:, -1, -1] - (gradient * step).sum(axis=(1, 2))
@@ -285,20 +293,16 @@ def _damp(better: NDArray[np.bool_], gain: Array, damping: Array, growth: Array)
 def _scale(matrices: Array) -> Array:
     diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
     # A column without any row to hold it keeps its value; any positive number does that.
-    return 1 / np.sqrt(np.maximum(diagonal, 1e-200))
-
-
-def _diagonal(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    index = np.arange(size)
-    return index, index
+    scale: Array = 1 / np.sqrt(np.maximum(diagonal, 1e-200))
+    return scale
 
 
 def _solve(matrices: Array, right: Array) -> Array:
     try:
-        return np.linalg.solve(matrices, right)
+        solution: Array = np.linalg.solve(matrices, right)
     except np.linalg.LinAlgError:
-        solution: Array = np.linalg.pinv(matrices, hermitian=True) @ right
-        return solution
+        solution = np.linalg.pinv(matrices, hermitian=True) @ right
+    return solution
 
 
 Tuple = TypeVar("Tuple", bound=tuple[Array, ...])

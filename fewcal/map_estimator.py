@@ -120,9 +120,7 @@ def _ahead(problem: Adjustment, noise: Noise, found: Minimum[Geometry]) -> tuple
     return float(noise.scatter(squares)[-1]), float(noise.objective(squares, (prior**2).sum(axis=1)).min())
 
 
-def _starts(
-    views: ViewStack, model: ScaleFree, priors: Priors
-) -> tuple[Geometry, NDArray[np.intp]]:
+def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> tuple[Geometry, NDArray[np.intp]]:
     """Every focal length with every combination of the two poses of each view, and its number (B,)."""
     H = homographies(views.points, views.pixels, views.weights)
     width = max(model.image_size)

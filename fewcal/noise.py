@@ -1,14 +1,15 @@
 """How far image points miss the camera: from the scatter of the residuals to the error that counts.
 
-Corner errors are not independent: a bent board, uneven ink and what the lens model leaves out move neighbouring
-corners together. So a view of N corners carries the information of fewer: the likelihood is raised to the
-power 1 / CORRELATION^2 (a composite likelihood), which is the same as a standard deviation of CORRELATION
-times the scatter s of the residuals. On top of it comes the part of the model error that camera and poses
-absorb, so that no residual shows it. The scatter itself is unknown, with a log-normal prior.
+Corner errors are not independent: a bent board, uneven ink and what the lens model leaves out move
+neighbouring corners together. So a view of N corners carries the information of fewer: the likelihood is
+raised to the power 1 / CORRELATION^2 (a composite likelihood), which is the same as a standard deviation of
+CORRELATION times the scatter s of the residuals. On top of it comes the part of the model error that camera
+and poses absorb, so that no residual shows it. The scatter itself is unknown, with a log-normal prior.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -56,7 +57,7 @@ class Noise(NamedTuple):
 
     def known(self, sigma: float | None = None) -> Noise:
         """Scatter that is known: that of a total standard deviation in pixels, or the median."""
-        median = self.median if sigma is None else np.full_like(self.median, sigma / total_sigma(np.ones(1)))
+        median = self.median if sigma is None else np.full_like(self.median, _scatter_behind(sigma))
         return self._replace(median=median, spread=np.zeros_like(self.spread))
 
     def repeat(self, size: int) -> Noise:
@@ -68,11 +69,12 @@ class Noise(NamedTuple):
         return Noise(*(part[items] for part in self))
 
     def scatter(self, squares: Array) -> Array:
-        """Scatter s (B,), pixels, for sums of squared residuals (B,): n (1 - q / s^2) + ln(s / s0) / tau^2 = 0.
+        """Most probable scatter s (B,), pixels, for sums of squared residuals (B,).
 
-        n is the number of degrees of freedom over CORRELATION^2, q their mean square. With
-        z = 2 tau^2 n + 2 ln(s / s0) the equation is z e^z = 2 tau^2 n q / s0^2 e^(2 tau^2 n), Lambert's, which
-        Newton's iteration solves for ln z: its left side is convex and rises, so it descends to the root.
+        It solves n (1 - q / s^2) + ln(s / s0) / tau^2 = 0, where n is the number of degrees of freedom over
+        CORRELATION^2, q their mean square, s0 the median and tau the spread of the prior. With
+        z = 2 tau^2 n + 2 ln(s / s0) that is z e^z = 2 tau^2 n q / s0^2 e^(2 tau^2 n), Lambert's equation,
+        solved for ln z by Newton's iteration.
         """
         strength = 2 * self.spread**2 * self.freedom / CORRELATION**2
         with np.errstate(divide="ignore"):
@@ -114,3 +116,11 @@ def total_sigma(scatter: Array) -> Array:
     """Standard deviation of an image point that counts, for the scatter of the residuals, pixels."""
     total: Array = np.hypot(CORRELATION * scatter, np.minimum(MODEL_ERROR_PX, ABSORBED * scatter))
     return total
+
+
+def _scatter_behind(sigma: float) -> float:
+    """Invert :func:`total_sigma`."""
+    scatter = sigma / math.hypot(CORRELATION, ABSORBED)
+    if ABSORBED * scatter > MODEL_ERROR_PX:
+        scatter = math.sqrt(sigma**2 - MODEL_ERROR_PX**2) / CORRELATION
+    return scatter

@@ -148,16 +148,23 @@ class Minimum(Generic[State]):
     stop: NDArray[np.int8]
     iterations: NDArray[np.int64]
 
+    def take(self, items: NDArray[np.intp]) -> Minimum[State]:
+        """Keep some items only."""
+        state, equations = take(self.state, items), take(self.equations, items)
+        rest = (part[items] for part in (self.variance, self.objective, self.stop, self.iterations))
+        return Minimum(state, equations, *rest)
+
     def best(self) -> Minimum[State]:
         """Keep the item of lowest objective."""
-        item = np.array([np.argmin(self.objective)])
-        state, equations = _take(self.state, item), _take(self.equations, item)
-        rest = (part[item] for part in (self.variance, self.objective, self.stop, self.iterations))
-        return Minimum(state, equations, *rest)
+        return self.take(np.array([np.argmin(self.objective)]))
 
 
 def minimise(
-    problem: Problem[State], start: State, tolerances: Tolerances = Tolerances(), race: bool = False
+    problem: Problem[State],
+    start: State,
+    tolerances: Tolerances = Tolerances(),
+    race: bool = False,
+    equations: NormalEquations | None = None,
 ) -> Minimum[State]:
     """Minimise every item of a batch from its own start.
 
@@ -170,6 +177,8 @@ def minimise(
     tolerances : Tolerances
     race : bool
         End all as soon as the item of lowest objective has converged.
+    equations : NormalEquations, optional
+        Of the start, where they are known.
 
     Returns
     -------
@@ -177,11 +186,14 @@ def minimise(
         An item whose start is not allowed (infinite cost) stops at once, as stalled, with infinite cost.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _minimise(problem, start, tolerances, race)
+        if equations is None:
+            equations = problem.linearise(start)
+        return _minimise(problem, start, equations, tolerances, race)
 
 
-def _minimise(problem: Problem[State], start: State, tolerances: Tolerances, race: bool) -> Minimum[State]:
-    equations = problem.linearise(start)
+def _minimise(
+    problem: Problem[State], start: State, equations: NormalEquations, tolerances: Tolerances, race: bool
+) -> Minimum[State]:
     whole = problem
     # What is not allowed is NaN from here on.
     v = problem.variance(equations.squares) + 0 * equations.squares
@@ -190,8 +202,8 @@ def _minimise(problem: Problem[State], start: State, tolerances: Tolerances, rac
     stop, iterations = np.full(size, Stop.STALLED, dtype=np.int8), np.zeros(size, dtype=np.int64)
     state, active = start, np.flatnonzero(np.isfinite(v))
     if len(active) < size:
-        state, problem, v = _take(start, active), problem.take(active), v[active]
-        equations = _take(equations, active)
+        state, problem, v = take(start, active), problem.take(active), v[active]
+        equations = take(equations, active)
     damping, growth = np.full(len(active), INITIAL_DAMPING), np.full(len(active), 2.0)
     for iteration in range(tolerances.iterations + 1 if len(active) else 0):
         cost = equations.cost(v)
@@ -213,8 +225,8 @@ def _minimise(problem: Problem[State], start: State, tolerances: Tolerances, rac
             left = np.flatnonzero(going_on)
             active, damping, growth, cost = active[left], damping[left], growth[left], cost[left]
             shared, local, predicted, v = shared[left], local[left], predicted[left], v[left]
-            state, problem = _take(state, left), problem.take(left)
-            equations = _take(equations, left)
+            state, problem = take(state, left), problem.take(left)
+            equations = take(equations, left)
         trial = problem.retract(state, shared, local)
         trial_equations = problem.linearise(trial)
         decrease = cost - trial_equations.cost(v)
@@ -299,10 +311,9 @@ def _scale(matrices: Array) -> Array:
 
 def _solve(matrices: Array, right: Array) -> Array:
     try:
-        solution: Array = np.linalg.solve(matrices, right)
+        return np.asarray(np.linalg.solve(matrices, right), dtype=np.float64)
     except np.linalg.LinAlgError:
-        solution = np.linalg.pinv(matrices, hermitian=True) @ right
-    return solution
+        return np.asarray(np.linalg.pinv(matrices, hermitian=True) @ right, dtype=np.float64)
 
 
 Tuple = TypeVar("Tuple", bound=tuple[Array, ...])
@@ -315,5 +326,6 @@ def _where(choose: NDArray[np.bool_], first: Tuple, second: Tuple) -> Tuple:
     return type(first)(*parts)
 
 
-def _take(state: Tuple, items: NDArray[np.intp]) -> Tuple:
+def take(state: Tuple, items: NDArray[np.intp]) -> Tuple:
+    """Keep some items of a state or of normal equations."""
     return type(state)(*(part[items] for part in state))

@@ -17,7 +17,16 @@ from .closed_form import simplified_intrinsics
 from .constraints import Priors
 from .errors import DegenerateViews
 from .homography import homographies
-from .least_squares import Minimum, NormalEquations, Stop, Tolerances, minimise, solve
+from .least_squares import (
+    INITIAL_DAMPING,
+    Minimum,
+    NormalEquations,
+    Stop,
+    Tolerances,
+    minimise,
+    solve,
+    take,
+)
 from .noise import Noise
 from .parametrisation import ScaleFree
 from .planar_pose import planar_poses
@@ -42,6 +51,9 @@ TRUST_LEVELS = 6
 """Standard deviations looked at between the first and the one of trust."""
 WORTHWHILE = 0.1
 """Gain in the objective, foreseen, for which the other explanation is followed."""
+
+RUNNERS = 2
+"""Focal lengths that race for each arrangement of the boards."""
 
 _COARSE = Tolerances(decrease=0.5, relative=0.0, iterations=25)
 _ROUND = Tolerances(decrease=1e-2, relative=0.0, iterations=50)
@@ -84,9 +96,9 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
     start, arrangement = _starts(views, model, priors)
     noise = Noise.of(views, priors)
     problem = Adjustment(views, model, priors.rows(max(model.image_size)), noise)
-    first = problem.believing(noise.known().repeat(len(arrangement)))
-    state = _contenders(minimise(first, start, _COARSE, race=True), arrangement)
-    found = minimise(problem.believing(noise.repeat(len(state.theta))), state, _FINE, race=True).best()
+    found = _contenders(problem.believing(noise.known()), start, arrangement)
+    several = problem.believing(noise.repeat(len(found.objective)))
+    found = minimise(several, found.state, _FINE, race=True, equations=found.equations).best()
     scatter, objective = _ahead(problem, noise, found)
     if objective < found.objective[0] - WORTHWHILE:
         trusting = minimise(problem.believing(noise.known(TRUSTING_PX)), found.state, _ROUND)
@@ -151,17 +163,40 @@ def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> tuple[Geometr
     return start, np.tile(np.arange(len(choices)), len(f))
 
 
-def _contenders(found: Minimum[Geometry], arrangement: NDArray[np.intp]) -> Geometry:
-    """Keep the best start of each arrangement of the boards, unless it is hopeless.
+def _contenders(
+    problem: Adjustment, start: Geometry, arrangement: NDArray[np.intp]
+) -> Minimum[Geometry]:
+    """Let the starts race, and keep the best of each arrangement of the boards that is not hopeless.
 
     Given how the boards are tilted, to this side or to that, the camera has one minimum; the valley from
-    focal length to focal length is walked by :meth:`Adjustment.retract`.
+    focal length to focal length is walked by :meth:`Adjustment.retract`. So the focal lengths from which one
+    step leads lowest stand for all.
     """
-    best = np.full(arrangement.max() + 1, np.inf)
-    np.minimum.at(best, arrangement, found.objective)
-    if not np.isfinite(best.min()):
+    equations = problem.linearise(start)
+    variance = problem.variance(equations.squares)
+    allowed = np.flatnonzero(np.isfinite(variance + equations.squares))
+    if not len(allowed):
         raise DegenerateViews(
             "No camera has these views in front of it; check that object and image points belong together."
         )
-    good = (found.objective == best[arrangement]) & (found.objective < best.min() + HOPELESS)
-    return Geometry(*(part[good] for part in found.state))
+    equations = take(equations, allowed)
+    variance = variance[:1].repeat(len(allowed))
+    foreseen = equations.cost(variance) - solve(equations, variance, np.full(len(allowed), INITIAL_DAMPING))[2]
+    kept = _lowest(foreseen, arrangement[allowed], RUNNERS)
+    arrangement = arrangement[allowed][kept]
+    runners = take(start, allowed[kept])
+    assert problem.noise is not None
+    found = minimise(
+        problem.believing(problem.noise.repeat(len(kept))), runners, _COARSE, race=True, equations=take(equations, kept)
+    )
+    kept = _lowest(found.objective, arrangement, 1)
+    kept = kept[found.objective[kept] < found.objective.min() + HOPELESS]
+    return found.take(kept)
+
+
+def _lowest(values: Array, kinds: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """Items with the lowest values of each kind, `count` of them."""
+    order = np.lexsort((values, kinds))
+    kinds = kinds[order]
+    place = np.arange(len(kinds)) - np.searchsorted(kinds, kinds)
+    return order[place < count]

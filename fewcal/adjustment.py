@@ -141,14 +141,15 @@ class Adjustment:
         A step of ln f moves the boards away in proportion, so that their size in the image stays: the valley
         along which focal length and distance compensate each other is straight then, and quickly walked.
         """
+        if not isinstance(self.model, ScaleFree):
+            return _moved(state, shared, local)
         far = np.abs(shared[:, 0]) / LARGEST_FOCAL_STEP
         if far.max() > 1:
             shrink = 1 / np.maximum(far, 1)
             shared, local = shared * shrink[:, None], local * shrink[:, None, None]
-        position = state.position + local[..., 3:]
-        if isinstance(self.model, ScaleFree):
-            position[..., 2] += state.position[..., 2] * np.expm1(shared[:, None, 0])
-        return Geometry(state.theta + shared, state.rotation @ _turn(local[..., :3]), position)
+        moved = _moved(state, shared, local)
+        moved.position[..., 2] += state.position[..., 2] * np.expm1(shared[:, None, 0])
+        return moved
 
     def squares(self, state: Geometry) -> Array:
         """Weighted sum of squared reprojection errors, (B, V), px^2."""
@@ -212,6 +213,12 @@ def rotation_from_vector(vector: Array) -> Array:
     cross = (vector @ _CROSS).reshape(*vector.shape, 3)
     rotations: Array = np.eye(3) + sine[..., None, None] * cross + cosine[..., None, None] * (cross @ cross)
     return rotations
+
+
+def _moved(state: Geometry, shared: Array, local: Array) -> Geometry:
+    return Geometry(
+        state.theta + shared, state.rotation @ _turn(local[..., :3]), state.position + local[..., 3:]
+    )
 
 
 def _turn(vector: Array) -> Array:

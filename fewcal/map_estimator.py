@@ -49,7 +49,7 @@ HOPELESS = 50.0
 
 TRUST_LEVELS = 6
 """Standard deviations looked at between the first and the one of trust."""
-WORTHWHILE = 0.1
+WORTHWHILE = 0.3
 """Gain in the objective, foreseen, for which the other explanation is followed."""
 
 RUNNERS = 2
@@ -163,9 +163,7 @@ def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> tuple[Geometr
     return start, np.tile(np.arange(len(choices)), len(f))
 
 
-def _contenders(
-    problem: Adjustment, start: Geometry, arrangement: NDArray[np.intp]
-) -> Minimum[Geometry]:
+def _contenders(problem: Adjustment, start: Geometry, arrangement: NDArray[np.intp]) -> Minimum[Geometry]:
     """Let the starts race, and keep the best of each arrangement of the boards that is not hopeless.
 
     Given how the boards are tilted, to this side or to that, the camera has one minimum; the valley from
@@ -181,13 +179,19 @@ def _contenders(
         )
     equations = take(equations, allowed)
     variance = variance[:1].repeat(len(allowed))
-    foreseen = equations.cost(variance) - solve(equations, variance, np.full(len(allowed), INITIAL_DAMPING))[2]
+    foreseen = (
+        equations.cost(variance) - solve(equations, variance, np.full(len(allowed), INITIAL_DAMPING))[2]
+    )
     kept = _lowest(foreseen, arrangement[allowed], RUNNERS)
     arrangement = arrangement[allowed][kept]
     runners = take(start, allowed[kept])
     assert problem.noise is not None
     found = minimise(
-        problem.believing(problem.noise.repeat(len(kept))), runners, _COARSE, race=True, equations=take(equations, kept)
+        problem.believing(problem.noise.repeat(len(kept))),
+        runners,
+        _COARSE,
+        race=True,
+        equations=take(equations, kept),
     )
     kept = _lowest(found.objective, arrangement, 1)
     kept = kept[found.objective[kept] < found.objective.min() + HOPELESS]

@@ -179,3 +179,12 @@ def test_rotation_from_vector(direction: tuple[float, float, float], angle: floa
     np.testing.assert_allclose(R, Rotation.from_rotvec(vector).as_matrix(), rtol=0, atol=1e-14)
     both = rotation_from_vector(np.stack([vector, -vector]))
     np.testing.assert_allclose(both, [R, R.T], rtol=0, atol=1e-14)
+
+
+def test_steps_of_the_papers_focal_length_are_pixels_without_a_bound() -> None:
+    problem, at, _ = CASES[1]
+    shared = np.zeros((2, 9))
+    shared[:, 0] = 300.0
+    to = problem.retract(at, shared, np.zeros((2, 2, 6)))
+    np.testing.assert_allclose((to.theta - at.theta)[:, 0], 300)
+    np.testing.assert_array_equal(to.position, at.position)

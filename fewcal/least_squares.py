@@ -151,8 +151,14 @@ class Minimum(Generic[State]):
     def take(self, items: NDArray[np.intp]) -> Minimum[State]:
         """Keep some items only."""
         state, equations = take(self.state, items), take(self.equations, items)
-        rest = (part[items] for part in (self.variance, self.objective, self.stop, self.iterations))
-        return Minimum(state, equations, *rest)
+        return Minimum(
+            state,
+            equations,
+            self.variance[items],
+            self.objective[items],
+            self.stop[items],
+            self.iterations[items],
+        )
 
     def best(self) -> Minimum[State]:
         """Keep the item of lowest objective."""

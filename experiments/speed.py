@@ -42,6 +42,7 @@ BOARD = fewcal.Chessboard(9, 6, 0.025)
 NOISE_PX = 0.2
 COUNTS = (1, 2, 5, 10, 20)
 METHODS = ("map", "zhu2020", "zhang")
+CASES = (("one view", 1, False), ("two views", 2, False), ("two views, quantised", 2, True))
 
 
 def scene(count: int) -> list[fewcal.View]:
@@ -119,13 +120,16 @@ def import_seconds(code: str) -> float:
     )
 
 
-def trials_a_second(method: str, count: int, quantised: bool, every: int) -> str:
-    """Trials of the paper a second, on one core; views are made beforehand."""
+def paper_views(count: int, quantised: bool, every: int) -> list[tuple[fewcal.View, ...]]:
+    """Every n-th of the paper's trials."""
     trials = [trial.views for trial in itertools.islice(paper_trials(count), 0, None, every)]
-    if quantised:
-        trials = [
-            tuple(fewcal.View(v.object_points, np.round(v.image_points)) for v in views) for views in trials
-        ]
+    if not quantised:
+        return trials
+    return [tuple(fewcal.View(v.object_points, np.round(v.image_points)) for v in views) for views in trials]
+
+
+def trials_a_second(method: str, trials: list[tuple[fewcal.View, ...]]) -> str:
+    """Trials of the paper a second, on one core; the views were made beforehand."""
 
     def attempt(views: tuple[fewcal.View, ...]) -> None:
         with contextlib.suppress(fewcal.FewcalError):
@@ -151,12 +155,11 @@ def main() -> None:
     print(
         f"\nimport fewcal, on top of numpy and OpenCV: {import_seconds('import cv2, fewcal') - basis:.2f} s\n"
     )
-    print("| trials a second | one view | two views | two views, quantised |\n|---|---|---|---|")
-    for method in METHODS:
-        cases = [
-            trials_a_second(method, *case, options.trials) for case in ((1, False), (2, False), (2, True))
-        ]
-        print("| " + " | ".join([method, *cases]) + " |", flush=True)
+    print("| trials a second | map | zhu2020 | zhang |\n|---|---|---|---|")
+    for name, count, quantised in CASES:
+        trials = paper_views(count, quantised, options.trials)
+        cells = [trials_a_second(method, trials) for method in METHODS]
+        print("| " + " | ".join([name, *cells]) + " |", flush=True)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .constraints import reprojection
 from .least_squares import NormalEquations, Stop
+from .noise import Noise
 from .parametrisation import Parametrisation, ScaleFree
 from .views import ViewStack
 
@@ -19,6 +19,12 @@ Array = NDArray[np.float64]
 Constraint = Callable[[Array], tuple[Array, Array]]
 """Camera unknowns (B, S) to rows (B, K) and their Jacobian (B, K, S)."""
 
+POSE = 6
+"""Unknowns of a pose: a turn about the board's axes (rad) and a shift of its centroid (m)."""
+
+LARGEST_FOCAL_STEP = 1.0
+"""Of ln f; what is linear does not reach farther, and wrong poses would run away to infinity."""
+
 
 class Geometry(NamedTuple):
     """One camera and the poses of its V views, for each start.
@@ -26,7 +32,7 @@ class Geometry(NamedTuple):
     Attributes
     ----------
     theta : (B, S) camera unknowns
-    rotation : (B, V, 3, 3) from the board's axes to the camera's
+    rotation : (B, V, 3, 3) from the axes of the board's plane (`ViewStack.plane`) to the camera's
     position : (B, V, 3) of the centroid of the board's points in the camera frame, metres
     """
 
@@ -40,11 +46,11 @@ class Rows(NamedTuple):
 
     Attributes
     ----------
-    r : (B, V, 2 N) reprojection
-    by_camera : (B, V, 2 N, S), along the steps that :meth:`Adjustment.retract` takes
-    by_pose : (B, V, 2 N, 6), turn about the camera's axes (rad) and shift of the centroid (m)
-    prior : (B, K)
-    prior_by_camera : (B, K, S)
+    r : (V, 2 N) reprojection
+    by_camera : (V, 2 N, S), along the steps that :meth:`Adjustment.retract` takes
+    by_pose : (V, 2 N, 6), turn and shift
+    prior : (K,)
+    prior_by_camera : (K, S)
     """
 
     r: Array
@@ -64,44 +70,70 @@ class Adjustment:
     model : Parametrisation
     constraint : callable
         The rows on the camera alone.
-    sigma : (B,)
-        Standard deviation of an image point of weight 1, pixels, for each start.
+    noise : Noise, optional
+        For each start; without it rows are pixels, of variance 1.
     """
 
     views: ViewStack
     model: Parametrisation
     constraint: Constraint
-    sigma: Array
+    noise: Noise | None = None
 
-    def rows(self, state: Geometry) -> Rows:
-        """Linearise every row; points behind the camera give NaN."""
+    def jacobian(self, state: Geometry) -> Array:
+        """Linearise the reprojection of every point.
+
+        Returns
+        -------
+        (B, V, 6 + S + 1, 2, N)
+            For each view the columns of pose and camera and the residual, in this order, over both image
+            coordinates of all points; pixels times the weight of the point. The points come last, so that
+            every operation runs over long rows, and one product holds all of J'J and J'r.
+        """
         theta, rotation, position = state
-        turned = self.views.points @ np.swapaxes(rotation, -1, -2)
-        pixels, d_points, d_theta = self.model.project(turned + position[..., None, :], theta)
-        by_pose = np.concatenate([_by_turn(d_points, turned), d_points], axis=-1)
+        board = self.views.points
+        size = self.model.size
+        columns = np.empty((*rotation.shape[:2], POSE + size + 1, *board.shape[1:]))
+        points = rotation[..., :2] @ board
+        points += position[..., None]
+        depth = points[:, :, 2:]
+        depth = np.where(depth > 0, depth, np.nan)
+        rays = points[:, :, :2] / depth
+        camera = columns[:, :, POSE : POSE + size]
+        pixels, by_rays = self.model.project(rays, theta, camera)
+        shift = columns[:, :, 3:POSE]
+        np.divide(by_rays, depth[:, :, None], out=shift[:, :, :2])
+        along = shift[:, :, :2] * rays[:, :, :, None]
+        np.negative(along[:, :, 0] + along[:, :, 1], out=shift[:, :, 2])
+        # A turn w of the board moves its point p by R (w x p), and d . R (w x p) = w . (p x R'd).
+        d = np.swapaxes(rotation, -1, -2) @ shift.reshape(*shift.shape[:3], -1)
+        d = d.reshape(shift.shape)
+        x, y = board[:, 0, None], board[:, 1, None]
+        np.multiply(d[:, :, 2], y, out=columns[:, :, 0])
+        np.multiply(d[:, :, 2], -x, out=columns[:, :, 1])
+        np.subtract(d[:, :, 1] * x, d[:, :, 0] * y, out=columns[:, :, 2])
         if isinstance(self.model, ScaleFree):
-            d_theta[..., 0] += d_points[..., 2] * position[..., None, None, 2]
-        weights = self.views.weights / self.sigma[:, None, None]
-        r, (by_camera, by_pose) = reprojection(pixels, self.views.pixels, weights, d_theta, by_pose)
-        return Rows(r, by_camera, by_pose, *self.constraint(theta))
+            # The boards keep their size in the image, see retract.
+            camera[:, :, 0] += shift[:, :, 2] * position[..., 2, None, None]
+        np.subtract(pixels, self.views.pixels, out=columns[:, :, -1])
+        columns *= self.views.weights[:, None, None, :]
+        return columns
 
     def linearise(self, state: Geometry) -> NormalEquations:
-        """Normal equations; a state with a point behind the camera, or beyond all numbers, is not allowed."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            rows = self.rows(state)
-            cost = 0.5 * ((rows.r**2).sum(axis=(1, 2)) + (rows.prior**2).sum(axis=1))
-            camera_t = np.swapaxes(rows.by_camera, -1, -2)
-            pose_t = np.swapaxes(rows.by_pose, -1, -2)
-            prior_t = np.swapaxes(rows.prior_by_camera, -1, -2)
-            return NormalEquations(
-                np.where(np.isfinite(cost), cost, np.inf),
-                (camera_t @ rows.by_camera).sum(axis=1) + prior_t @ rows.prior_by_camera,
-                (camera_t @ rows.r[..., None])[..., 0].sum(axis=1)
-                + (prior_t @ rows.prior[..., None])[..., 0],
-                camera_t @ rows.by_pose,
-                pose_t @ rows.by_pose,
-                (pose_t @ rows.r[..., None])[..., 0],
-            )
+        """Normal equations; a state with a point behind the camera, or beyond all numbers, is NaN."""
+        columns = self.jacobian(state)
+        columns = columns.reshape(*columns.shape[:3], -1)
+        r, J = self.constraint(state.theta)
+        constraint = np.concatenate([J, r[..., None]], axis=-1)
+        return NormalEquations(
+            columns @ np.swapaxes(columns, -1, -2), np.swapaxes(constraint, -1, -2) @ constraint
+        )
+
+    def rows(self, state: Geometry, sigma: float) -> Rows:
+        """Rows of a batch of one, with the standard deviation of an image point of weight 1 in pixels."""
+        columns = self.jacobian(state)[0] / sigma
+        columns = np.swapaxes(columns.reshape(*columns.shape[:2], -1), -1, -2)
+        r, J = self.constraint(state.theta)
+        return Rows(columns[..., -1], columns[..., POSE:-1], columns[..., :POSE], r[0], J[0])
 
     def retract(self, state: Geometry, shared: Array, local: Array) -> Geometry:
         """Step away from a state: camera unknowns, then a turn and a shift of each board.
@@ -109,20 +141,38 @@ class Adjustment:
         A step of ln f moves the boards away in proportion, so that their size in the image stays: the valley
         along which focal length and distance compensate each other is straight then, and quickly walked.
         """
-        position = state.position + local[..., 3:]
-        if isinstance(self.model, ScaleFree):
-            with np.errstate(over="ignore"):
-                position[..., 2] += state.position[..., 2] * np.expm1(shared[:, None, 0])
-        return Geometry(state.theta + shared, rotation_from_vector(local[..., :3]) @ state.rotation, position)
-
-    def take(self, items: NDArray[np.intp]) -> Adjustment:
-        """Keep some starts only."""
-        return replace(self, sigma=self.sigma[items])
+        if not isinstance(self.model, ScaleFree):
+            return _moved(state, shared, local)
+        far = np.abs(shared[:, 0]) / LARGEST_FOCAL_STEP
+        if far.max() > 1:
+            shrink = 1 / np.maximum(far, 1)
+            shared, local = shared * shrink[:, None], local * shrink[:, None, None]
+        moved = _moved(state, shared, local)
+        moved.position[..., 2] += state.position[..., 2] * np.expm1(shared[:, None, 0])
+        return moved
 
     def squares(self, state: Geometry) -> Array:
         """Weighted sum of squared reprojection errors, (B, V), px^2."""
-        squares: Array = (self.rows(state).r ** 2).sum(axis=2) * self.sigma[:, None] ** 2
+        squares: Array = (self.jacobian(state)[:, :, -1] ** 2).sum(axis=(-2, -1))
         return squares
+
+    def variance(self, squares: Array) -> Array:
+        """Variance (B,) of an image point of weight 1, px^2, for sums of squared residuals (B,)."""
+        return np.ones_like(squares) if self.noise is None else self.noise.variance(squares)
+
+    def objective(self, squares: Array, shared_squares: Array) -> Array:
+        """Negative log posterior (B,), up to a constant, for sums of squares of residuals and constraints."""
+        if self.noise is None:
+            return 0.5 * (squares + shared_squares)
+        return self.noise.objective(squares, shared_squares)
+
+    def believing(self, noise: Noise) -> Adjustment:
+        """Judge the same residuals by another noise."""
+        return replace(self, noise=noise)
+
+    def take(self, items: NDArray[np.intp]) -> Adjustment:
+        """Keep some starts only."""
+        return self if self.noise is None else replace(self, noise=self.noise.take(items))
 
 
 @dataclass(frozen=True)
@@ -132,16 +182,23 @@ class Estimate:
     Attributes
     ----------
     adjustment : Adjustment
-        The problem, for one start, in units of its noise.
     geometry : Geometry
         Its solution, with a batch of one.
+    sigma : float
+        Standard deviation of an image point of weight 1, pixels.
     stop : Stop
         Why the last iteration stopped.
     """
 
     adjustment: Adjustment
     geometry: Geometry
+    sigma: float
     stop: Stop
+
+
+_CROSS = np.zeros((3, 9))
+"""Vector to the entries of its cross product matrix."""
+_CROSS[[0, 0, 1, 1, 2, 2], [7, 5, 2, 6, 3, 1]] = 1, -1, 1, -1, 1, -1
 
 
 def rotation_from_vector(vector: Array) -> Array:
@@ -153,16 +210,22 @@ def rotation_from_vector(vector: Array) -> Array:
     # Below 1e-4 rad the next terms of the series lie under the rounding of a double.
     sine = np.where(small, 1 - angle2 / 6, np.sin(safe) / safe)
     cosine = np.where(small, 0.5 - angle2 / 24, (1 - np.cos(safe)) / safe**2)
-    cross = np.zeros((*vector.shape, 3))
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -z, y, -x
-    cross[..., 1, 0], cross[..., 2, 0], cross[..., 2, 1] = z, -y, x
+    cross = (vector @ _CROSS).reshape(*vector.shape, 3)
     rotations: Array = np.eye(3) + sine[..., None, None] * cross + cosine[..., None, None] * (cross @ cross)
     return rotations
 
 
-def _by_turn(d_points: Array, turned: Array) -> Array:
-    """Derivative by a small turn w, for which the point moves by w x X: d . (w x X) = w . (X x d)."""
-    x, y, z = (turned[..., None, i] for i in range(3))
-    a, b, c = d_points[..., 0], d_points[..., 1], d_points[..., 2]
-    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=-1)
+def _moved(state: Geometry, shared: Array, local: Array) -> Geometry:
+    return Geometry(
+        state.theta + shared, state.rotation @ _turn(local[..., :3]), state.position + local[..., 3:]
+    )
+
+
+def _turn(vector: Array) -> Array:
+    """Rotation whose vector is `vector` (..., 3) for small angles, and less for large ones (Cayley)."""
+    half = vector / 2
+    cross = (half @ _CROSS).reshape(*vector.shape, 3)
+    share = 2 / (1 + (half * half).sum(axis=-1))
+    rotation: Array = (cross + cross @ cross) * share[..., None, None]
+    rotation[..., [0, 1, 2], [0, 1, 2]] += 1
+    return rotation

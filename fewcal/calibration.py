@@ -15,7 +15,8 @@ from .camera import Camera
 from .constraints import PRIOR_ROWS, Priors
 from .errors import InvalidInput
 from .least_squares import Stop
-from .map_estimator import estimate_map, point_sigma
+from .map_estimator import estimate_map
+from .noise import Noise
 from .parametrisation import PixelModel, ScaleFree
 from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
 from .posterior import NAMES, determined_share, posterior, projection_std
@@ -199,28 +200,29 @@ def _map_solution(found: Estimate, model: ScaleFree, priors: Priors) -> _Solutio
         fx, fy, cx, cy = natural[:4].tolist()
         camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
         coefficients = from_plumb_bob(camera)
-    rows = found.adjustment.rows(found.geometry)
+    rows = found.adjustment.rows(found.geometry, found.sigma)
     width = max(model.image_size)
-    result = posterior(rows, priors.rows(priors.mode(theta, width)[None], width)[1][0])
+    result = posterior(rows, found.adjustment.constraint(priors.mode(theta, width)[None])[1][0])
     J = model.natural_jacobian(theta)
     return _Solution(
         camera,
         coefficients,
         0.0,
-        float(found.adjustment.sigma[0]),
+        found.sigma,
         J @ result.covariance @ J.T,
         {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)).items()},
-        _worst_by_name(np.abs(rows.prior[0])),
+        _worst_by_name(np.abs(rows.prior)),
     )
 
 
 def _pixel_solution(found: Estimate, model: PixelModel, size: tuple[int, int], priors: Priors) -> _Solution:
     theta = found.geometry.theta[0]
     coefficients = model.coefficients(theta)
-    sigma = float(point_sigma(found.adjustment, found.geometry, priors)[0])
+    squares = found.adjustment.squares(found.geometry)
+    sigma = float(np.sqrt(Noise.of(found.adjustment.views, priors).variance(squares.sum(axis=1))[0]))
     covariance: Array | None = None
     if model.tangential:
-        result = posterior(found.adjustment.rows(found.geometry))
+        result = posterior(found.adjustment.rows(found.geometry, 1.0))
         J = plumb_bob_jacobian(theta)
         known = np.isfinite(result.covariance).all()
         covariance = J @ result.covariance @ J.T * sigma**2 if known else np.full((8, 8), np.inf)
@@ -245,7 +247,8 @@ def _result(
     thresholds: Thresholds,
 ) -> Calibration:
     stack = found.adjustment.views
-    rotation, position = found.geometry.rotation[0], found.geometry.position[0]
+    rotation = found.geometry.rotation[0] @ np.swapaxes(stack.plane, -1, -2)
+    position = found.geometry.position[0]
     poses = np.tile(np.eye(4), (len(views), 1, 1))
     poses[:, :3, :3] = rotation
     poses[:, :3, 3] = position - (rotation @ stack.centroid[..., None])[..., 0]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,17 +34,6 @@ def _require_pair(name: str, pair: tuple[float, float]) -> None:
         raise InvalidInput(f"Priors.{name} must be two positive numbers, mean and standard deviation.")
 
 
-class Distribution(Protocol):
-    """The prior of one number."""
-
-    @property
-    def mean(self) -> float:
-        """Most probable value, in the unit of the quantity."""
-
-    def row(self, value: Array) -> tuple[Array, Array]:
-        """Compute the residual row and its derivative by the value, elementwise."""
-
-
 @dataclass(frozen=True)
 class Normal:
     """Normal distribution.
@@ -61,9 +50,15 @@ class Normal:
     def __post_init__(self) -> None:
         _require_finite("Normal", (self.mean, self.sd), (self.sd,))
 
-    def row(self, value: Array) -> tuple[Array, Array]:
-        """Compute the residual row and its derivative by the value, elementwise."""
-        return (value - self.mean) / self.sd, np.full_like(value, 1 / self.sd)
+    @property
+    def nu(self) -> float:
+        """Degrees of freedom of the t distribution that it is."""
+        return math.inf
+
+    @property
+    def scale(self) -> float:
+        """Standard deviation, as :class:`StudentT` calls it."""
+        return self.sd
 
 
 @dataclass(frozen=True)
@@ -86,11 +81,9 @@ class StudentT:
     def __post_init__(self) -> None:
         _require_finite("StudentT", (self.nu, self.scale, self.mean), (self.nu, self.scale))
 
-    def row(self, value: Array) -> tuple[Array, Array]:
-        """Compute r = sign(z) sqrt((nu + 1) ln(1 + z^2 / nu)) and its derivative by the value."""
-        z = (value - self.mean) / self.scale
-        gain, slope = _student_gain(z * z, self.nu, 1)
-        return gain * z, (gain + slope * z * z) / self.scale
+
+Distribution: TypeAlias = Normal | StudentT
+"""The prior of one number."""
 
 
 @dataclass(frozen=True)
@@ -125,28 +118,6 @@ class RadialPrior:
         x = log_focal_over_width - math.log(self.reference)
         slope = np.where(np.abs(x) < 1, 1.0, 0.0)[:, None] * np.array(self.slope)
         return np.array(self.intercept) + np.clip(x, -1, 1)[:, None] * np.array(self.slope), slope
-
-    def rows(self, log_focal_over_width: Array, radial: Array) -> tuple[Array, Array]:
-        """Compute two rows for each item and their derivatives.
-
-        Parameters
-        ----------
-        log_focal_over_width : (B,)
-        radial : (B, 2) a1, a2
-
-        Returns
-        -------
-        r : (B, 2)
-        J : (B, 2, 3) by log f, a1, a2
-        """
-        mean, slope = self.mean(log_focal_over_width)
-        whiten = np.linalg.inv(np.linalg.cholesky(np.array(self.covariance)))
-        w = (radial - mean) @ whiten.T
-        gain, gain_slope = _student_gain((w * w).sum(axis=1), self.nu, 2)
-        by_w = gain[:, None, None] * np.eye(2) + gain_slope[:, None, None] * w[:, :, None] * w[:, None, :]
-        by_value = by_w @ whiten
-        by_focal = -(by_value @ slope[:, :, None])
-        return gain[:, None] * w, np.concatenate([by_focal, by_value], axis=2)
 
 
 @dataclass(frozen=True)
@@ -202,37 +173,87 @@ class Priors:
         radial = self.radial.mean(theta[:1] - math.log(width))[0][0]
         return np.concatenate([mode, radial, [self.tangential.mean] * 2])
 
-    def rows(self, theta: Array, width: float) -> tuple[Array, Array]:
-        """Compute the rows of all priors on the camera.
+    def rows(self, width: float) -> PriorRows:
+        """Rows of all priors on the camera, for images whose longer side is `width` pixels."""
+        return PriorRows.of(self, width)
+
+
+@dataclass(frozen=True)
+class PriorRows:
+    """The rows of all priors on a camera, computed at once.
+
+    Each unknown, or the pair of radial terms, is first brought to zero mean and unit scale, z; a t prior of
+    nu degrees of freedom in d dimensions is then r = z sqrt((nu + d) ln(1 + |z|^2 / nu) / |z|^2), and a
+    normal one the same with nu infinite.
+
+    Attributes
+    ----------
+    mean, whiten : (8,) and (8, 8)
+        z = whiten (theta - mean), for the mean of the radial terms at its reference focal length.
+    slope : (8,)
+        Change of z with the clipped logarithm x of the focal length, see :class:`RadialPrior`.
+    reference : float
+        Of x, as a logarithm in pixels.
+    tail : (8,)
+        1 / nu.
+    """
+
+    mean: Array
+    whiten: Array
+    slope: Array
+    reference: float
+    tail: Array
+
+    @classmethod
+    def of(cls, priors: Priors, width: float) -> PriorRows:
+        """Gather what the rows need."""
+        radial = priors.radial
+        single = (
+            priors.focal(width),
+            priors.log_aspect,
+            priors.principal_point_x,
+            priors.principal_point_y,
+            priors.tangential,
+            priors.tangential,
+        )
+        mean, scale, nu = np.array([(d.mean, d.scale, d.nu) for d in single]).T[:, _SINGLE]
+        mean[0] += math.log(width)
+        mean[4:6], nu[4:6] = radial.intercept, radial.nu
+        whiten = np.diag(1 / scale)
+        whiten[4:6, 4:6] = np.linalg.inv(np.linalg.cholesky(np.array(radial.covariance)))
+        slope = np.zeros(8)
+        slope[4:6] = -whiten[4:6, 4:6] @ np.array(radial.slope)
+        return cls(mean, whiten, slope, math.log(width) + math.log(radial.reference), 1 / nu)
+
+    def __call__(self, theta: Array) -> tuple[Array, Array]:
+        """Compute the rows.
 
         Parameters
         ----------
         theta : (B, 8)
             Scale-free camera: ln fx, ln(fy / fx), principal point offset in diagonals (x, y), a1, a2, b1, b2.
-        width : float
-            max(width, height), pixels.
 
         Returns
         -------
         r : (B, 8), J : (B, 8, 8)
             In the order of :data:`PRIOR_ROWS`.
         """
-        log_focal = theta[:, 0] - math.log(width)
-        single = (
-            (0, self.focal(width), log_focal),
-            (1, self.log_aspect, theta[:, 1]),
-            (2, self.principal_point_x, theta[:, 2]),
-            (3, self.principal_point_y, theta[:, 3]),
-            (6, self.tangential, theta[:, 6]),
-            (7, self.tangential, theta[:, 7]),
-        )
-        r, J = np.zeros_like(theta), np.zeros((*theta.shape, theta.shape[1]))
-        for index, distribution, value in single:
-            r[:, index], J[:, index, index] = distribution.row(value)
-        r[:, 4:6], radial = self.radial.rows(log_focal, theta[:, 4:6])
-        J[:, 4:6, 0], J[:, 4:6, 4:6] = radial[..., 0], radial[..., 1:]
-        return r, J
+        x = theta[:, 0] - self.reference
+        z = (theta - self.mean) @ self.whiten.T + np.clip(x, -1, 1)[:, None] * self.slope
+        by_theta = np.repeat(self.whiten[None], len(theta), axis=0)
+        by_theta[:, 4:6, 0] = np.where(np.abs(x) < 1, 1.0, 0.0)[:, None] * self.slope[4:6]
+        gain, bend = _student_gain(z * z @ _TOGETHER, self.tail, _DIMENSION)
+        by_z = (bend * z)[:, :, None] * z[:, None, :] * _TOGETHER
+        by_z[:, np.arange(8), np.arange(8)] += gain
+        return gain * z, by_z @ by_theta
 
+
+_SINGLE = np.array([0, 1, 2, 3, 4, 4, 4, 5])
+"""Prior of each unknown among the single ones; the radial terms have their own."""
+_TOGETHER = np.eye(8)
+"""Which rows share one prior: the two radial terms do."""
+_TOGETHER[4:6, 4:6] = 1
+_DIMENSION = _TOGETHER.sum(axis=0)
 
 PRIOR_ROWS = (
     "focal length",
@@ -275,39 +296,14 @@ def exponential_penalty(fx: Array, fy: Array, views: int) -> tuple[Array, Array]
     return np.sign(d) * size, np.stack([slope, -slope], axis=-1)
 
 
-def reprojection(
-    pixels: Array, observed: Array, weights: Array, d_pixels: Array, *more: Array
-) -> tuple[Array, tuple[Array, ...]]:
-    """Reprojection rows of every view: weighted difference of projection and observation.
-
-    Parameters
-    ----------
-    pixels, observed : (..., N, 2) px
-    weights : (..., N)
-        1 / sigma, px^-1; 0 leaves a point out.
-    d_pixels, *more : (..., N, 2, K)
-        Derivatives of the projection by blocks of unknowns.
-
-    Returns
-    -------
-    r : (..., 2 N)
-    J : tuple of (..., 2 N, K), one for each block
-    """
-    w = weights[..., None]
-    r = (pixels - observed) * w
-    blocks = tuple(J * w[..., None] for J in (d_pixels, *more))
-    return (
-        r.reshape(*r.shape[:-2], -1),
-        tuple(J.reshape(*J.shape[:-3], -1, J.shape[-1]) for J in blocks),
-    )
-
-
-def _student_gain(squares: Array, nu: float, dimension: int) -> tuple[Array, Array]:
-    """Factor g with |g w|^2 = (nu + d) ln(1 + |w|^2 / nu), and g' / |w| for its derivative."""
-    q = squares / nu
+def _student_gain(squares: Array, tail: Array, dimension: Array) -> tuple[Array, Array]:
+    """Factor g with |g z|^2 = (nu + d) ln(1 + |z|^2 / nu), and dg / d|z| over |z|; tail is 1 / nu."""
+    q = squares * tail
     small = q < 1e-6
     safe = np.where(small, 1.0, q)
-    gain = np.sqrt((nu + dimension) / nu * np.where(small, 1 - q / 2, np.log1p(safe) / safe))
+    logarithm = np.log1p(safe) / safe
+    factor = 1 + dimension * tail
+    gain = np.sqrt(factor * np.where(small, 1 - q / 2, logarithm))
     # d(gain^2)/d(squares) = (nu + d) / nu^2 * (1 / (q (1 + q)) - ln(1 + q) / q^2)
-    bend = np.where(small, -0.5, 1 / (safe * (1 + safe)) - np.log1p(safe) / safe**2)
-    return gain, (nu + dimension) / nu**2 * bend / gain
+    bend = np.where(small, -0.5, (1 / (1 + safe) - logarithm) / safe)
+    return gain, factor * tail * bend / gain

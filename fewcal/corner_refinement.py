@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
 from .grid import local_axes
 from .saddle_points import Image
@@ -208,6 +207,9 @@ def _model(p: Array, x: Array) -> tuple[Array, Array]:
 
 def _edge(dx: Array, dy: Array, angle: Array, blur: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
     """E and dE / d distance of one edge, position along it, distance in blurs, cos and sin of its angle."""
+    # Imported here, since it takes longer than all of fewcal, and who has points already needs none of it.
+    from scipy.special import erf
+
     cos, sin = np.cos(angle), np.sin(angle)
     t = (dy * cos - dx * sin) / blur
     slope = np.exp(-0.5 * t * t) * (math.sqrt(2 / math.pi) / blur)

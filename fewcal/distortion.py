@@ -10,10 +10,17 @@ plumb_bob applies it to normalised coordinates, the paper to pixels about the pr
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+_BOUND_GRID = np.linspace(0, 3, 61)
+"""Undistorted radii looked at, as a share of the distorted one."""
+_BOUND_MARGIN = 0.05
+"""More than the slope of a lens changes between two of them."""
 
 _NEWTON_STEPS = 50
 """Both inversions stop by themselves, in about 6 steps; this only bounds a sequence that does not."""
@@ -85,6 +92,79 @@ def distort_jacobians(points: Array, coefficients: Array) -> tuple[Array, Array]
     return d_points, d_coefficients
 
 
+def monomials(points: Array) -> Array:
+    """Evaluate what the polynomial of k3 = 0 and its derivatives consist of; the points come last.
+
+    Parameters
+    ----------
+    points : (..., 2, N)
+
+    Returns
+    -------
+    (..., 13, N)
+        x, y, x^2, x y, y^2, the last three times r2, x and y times r2, x and y times r2^2, and 1.
+    """
+    terms = np.empty((*points.shape[:-2], 13, points.shape[-1]))
+    terms[..., 0:2, :] = points
+    np.multiply(points, points, out=terms[..., 2:5:2, :])
+    np.multiply(points[..., 0, :], points[..., 1, :], out=terms[..., 3, :])
+    r2 = (terms[..., 2, :] + terms[..., 4, :])[..., None, :]
+    np.multiply(terms[..., 2:5, :], r2, out=terms[..., 5:8, :])
+    np.multiply(points, r2, out=terms[..., 8:10, :])
+    np.multiply(terms[..., 8:10, :], r2, out=terms[..., 10:12, :])
+    terms[..., 12, :] = 1
+    return terms
+
+
+POLYNOMIAL = np.zeros((5, 6, 13))
+"""Terms of :func:`monomials` in x', y', dx'/dx, dy'/dx, dx'/dy and dy'/dy, for each of 1, k1, k2, p1, p2."""
+POLYNOMIAL[0, [0, 1, 2, 5], [0, 1, 12, 12]] = 1
+POLYNOMIAL[1, [0, 1, 2, 2, 3, 4, 5, 5], [8, 9, 2, 4, 3, 3, 2, 4]] = 1, 1, 3, 1, 2, 2, 1, 3
+POLYNOMIAL[2, [0, 1, 2, 2, 3, 4, 5, 5], [10, 11, 5, 7, 6, 6, 5, 7]] = 1, 1, 5, 1, 4, 4, 1, 5
+POLYNOMIAL[3, [0, 1, 1, 2, 3, 4, 5], [3, 2, 4, 1, 0, 0, 1]] = 2, 1, 3, 2, 2, 2, 6
+POLYNOMIAL[4, [0, 0, 1, 2, 3, 4, 5], [2, 4, 3, 0, 1, 1, 0]] = 3, 1, 2, 6, 2, 2, 2
+_BY_COEFFICIENT = POLYNOMIAL[1:, :2].reshape(8, 13)
+
+
+def distort_scaled(
+    points: Array, coefficients: Array, before: Array, after: Array
+) -> tuple[Array, Array, Array]:
+    """Distort with k3 = 0 and differentiate; for the inner loop, with the points along the last axis.
+
+    Parameters
+    ----------
+    points : (B, V, 2, N)
+    coefficients : (B, 4)
+        k1, k2, p1, p2.
+    before, after : (B, 2)
+        The points are scaled by `before`, distorted, and scaled by `after`.
+
+    Returns
+    -------
+    distorted : (B, V, 2, N)
+    by_points : (B, V, 2, 2, N)
+        Derivative by x, then by y, of both coordinates.
+    by_coefficients : (B, V, 4, 2, N)
+        Derivative by each coefficient of both coordinates.
+    """
+    size, views, _, count = points.shape
+    combination = np.empty((size, 14, 13))
+    np.add(
+        POLYNOMIAL[0],
+        (coefficients @ POLYNOMIAL[1:].reshape(4, -1)).reshape(-1, 6, 13),
+        out=combination[:, :6],
+    )
+    combination[:, 6:] = _BY_COEFFICIENT
+    combination.reshape(size, 7, 2, 13)[...] *= after[:, None, :, None]
+    combination[:, 2:6].reshape(size, 2, 2, 13)[...] *= before[:, :, None, None]
+    values = combination[:, None] @ monomials(points * before[:, None, :, None])
+    return (
+        values[:, :, :2],
+        values[:, :, 2:6].reshape(size, views, 2, 2, count),
+        values[:, :, 6:].reshape(size, views, 4, 2, count),
+    )
+
+
 def fold_radius(distortion: Array) -> Array:
     """Undistorted radius at which the radial distortion turns back on itself.
 
@@ -110,6 +190,31 @@ def fold_radius(distortion: Array) -> Array:
     real = (np.abs(roots.imag) <= 1e-7 * size) & (roots.real > 1e-12 * (1 + size))
     largest = np.max(np.where(real, roots.real, 0), axis=-1)
     return np.where(largest > 0, 1 / np.sqrt(np.where(largest > 0, largest, 1)), np.inf)
+
+
+def surely_invertible(radius: float, coefficients: Array) -> bool:
+    """Whether a bound proves that every distorted point within a radius has one undistorted point.
+
+    Where the smaller eigenvalue of the Jacobian, the lesser of radial factor and slope of the radial map, is
+    more than the 6 |p| r that p1 and p2 can take from it, all over a disc, the map is one to one there; and
+    the disc of radius r covers all within r (1 + k1 r^2 + ...) - 3 |p| r^2.
+
+    Parameters
+    ----------
+    radius : float
+        In the unit of the distorted coordinates.
+    coefficients : (5,)
+        k1, k2, p1, p2, k3.
+    """
+    k1, k2, p1, p2, k3 = coefficients.tolist()
+    tangential = math.hypot(p1, p2)
+    r = radius * _BOUND_GRID
+    r2 = r * r
+    factor = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * 7 * k3))
+    proven = np.minimum(factor, slope) > 6 * tangential * r + _BOUND_MARGIN
+    proven &= np.logical_and.accumulate(proven)
+    return bool((proven & (r * factor - 3 * tangential * r2 > radius)).any())
 
 
 def undistort(points: Array, coefficients: Array) -> Array:

@@ -9,13 +9,15 @@ for where their neighbours predict them.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from .saddle_points import Image, SaddlePoints, sample
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -70,6 +72,11 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
     list of (R, C, 2) arrays, largest in the image first: pixels, NaN where a corner was not found,
     which :func:`fill_gaps` can complete.
     """
+    # Imported here, since it takes longer than all of fewcal, and who has points already needs none of it.
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
     if len(saddles.points) < MIN_CORNERS:
         return []
     start, end, along_first = _links(image, saddles)
@@ -114,6 +121,8 @@ def _turn(angle: Array) -> Array:
 
 def _links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArray[np.bool_]]:
     """Pairs of neighbouring corners, each pair both ways, and whether it is on the start's first edge."""
+    from scipy.spatial import cKDTree
+
     points, edges = saddles.points, saddles.edges
     near = min(NEAREST + 1, len(points))
     _, neighbours = cKDTree(points).query(points, k=near)

@@ -29,9 +29,9 @@ def homographies(board_points: Array, image_points: Array, weights: Array) -> Ar
 
     Parameters
     ----------
-    board_points : (..., N, 2)
+    board_points : (..., 2, N)
         In the board's plane, metres.
-    image_points : (..., N, 2)
+    image_points : (..., 2, N)
         Pixels.
     weights : (..., N)
         Weight of each point; 0 leaves it out, so that views of different length share one array.
@@ -45,25 +45,19 @@ def homographies(board_points: Array, image_points: Array, weights: Array) -> Ar
     DegenerateViews
         When a view has fewer than four points, or its points are collinear.
     """
-    check_points(board_points, image_points, weights)
-    source, from_source = _normalise(board_points, weights)
-    target, from_target = _normalise(image_points, weights)
-    x, y = source[..., 0], source[..., 1]
-    u, v = target[..., 0], target[..., 1]
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    rows = np.stack(
-        [
-            np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=-1),
-            np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=-1),
-        ],
-        axis=-2,
-    )
-    rows = (rows * weights[..., None, None]).reshape(*rows.shape[:-3], -1, 9)
+    (source, target), back = _normalise(np.stack([board_points, image_points]), weights)
+    rows = np.zeros((*weights.shape[:-1], 9, 2, weights.shape[-1]))
+    rows[..., 0:2, 0, :] = rows[..., 3:5, 1, :] = source
+    rows[..., 2, 0, :] = rows[..., 5, 1, :] = 1
+    rows[..., 6:8, :, :] = -source[..., :, None, :] * target[..., None, :, :]
+    rows[..., 8, :, :] = -target
+    rows *= weights[..., None, None, :]
+    rows = np.swapaxes(rows.reshape(*rows.shape[:-2], -1), -1, -2)
     _, _, vt = np.linalg.svd(np.linalg.qr(rows, mode="r"))
     H = vt[..., 8, :].reshape(*vt.shape[:-2], 3, 3)
     # In normalised coordinates the centroid is the origin and is finite, so that h33 is not zero.
     H = H / H[..., 2:, 2:]
-    return _denormalise(H, from_source, from_target)
+    return _denormalise(H, *back)
 
 
 def refine_homographies(
@@ -75,7 +69,7 @@ def refine_homographies(
     ----------
     H : (B, 3, 3)
         Where to start.
-    board_points, image_points : (B, N, 2)
+    board_points, image_points : (B, 2, N)
         Metres and pixels.
     weights : (B, N)
         0 leaves a point out.
@@ -86,10 +80,9 @@ def refine_homographies(
     -------
     (B, 3, 3)
     """
-    offset = image_points - np.broadcast_to(principal_point, (len(H), 2))[:, None, :]
-    radius = np.hypot(offset[..., 0], offset[..., 1])
-    source, from_source = _normalise(board_points, weights)
-    target, from_target = _normalise(image_points, weights)
+    offset = image_points - np.broadcast_to(principal_point, (len(H), 2))[..., None]
+    radius = np.hypot(offset[:, 0], offset[:, 1])
+    (source, target), (from_source, from_target) = _normalise(np.stack([board_points, image_points]), weights)
     size = from_target[:, None, 0, 0]  # pixels per unit of the normalised image
     problem = _HomographyProblem(source, target, weights * size / np.sqrt(DISTANCE_OFFSET_PX + radius))
     start = np.linalg.inv(from_target) @ H @ from_source
@@ -97,22 +90,6 @@ def refine_homographies(
     found = minimise(problem, _Entries(start)).state.entries
     H = np.concatenate([found, np.ones((len(found), 1))], axis=1).reshape(-1, 3, 3)
     return _denormalise(H, from_source, from_target)
-
-
-def check_points(board_points: Array, image_points: Array, weights: Array) -> None:
-    """Refuse views that no plane-to-image map can be drawn from."""
-    counts = (weights > 0).sum(axis=-1)
-    if np.any(counts < 4):
-        raise DegenerateViews(
-            f"A view has {counts.min()} points; four or more that are not on one line are needed."
-        )
-    for points in (board_points, image_points):
-        centred = (points - _centroid(points, weights)[..., None, :]) * (weights > 0)[..., None]
-        extent = np.linalg.svd(centred, compute_uv=False)
-        if np.any(extent[..., 1] <= COLLINEAR * extent[..., 0]):
-            raise DegenerateViews(
-                "The points of a view are collinear; show a board with points in two directions, not edge-on."
-            )
 
 
 class _Entries(NamedTuple):
@@ -128,52 +105,58 @@ class _HomographyProblem:
     scale: Array
 
     def linearise(self, state: _Entries) -> NormalEquations:
-        h = state.entries
-        x, y = self.source[..., 0], self.source[..., 1]
-        depth = h[:, None, 6] * x + h[:, None, 7] * y + 1
-        u = (h[:, None, 0] * x + h[:, None, 1] * y + h[:, None, 2]) / depth
-        v = (h[:, None, 3] * x + h[:, None, 4] * y + h[:, None, 5]) / depth
+        H = np.concatenate([state.entries, np.ones((len(state.entries), 1))], axis=1).reshape(-1, 3, 3)
+        mapped = H[:, :, :2] @ self.source + H[:, :, 2:]
+        depth = np.where((mapped[:, 2] > 0) | (self.scale == 0), mapped[:, 2], np.nan)
+        uv = mapped[:, :2] / depth[:, None]
+        columns = np.zeros((len(H), 9, *uv.shape[1:]))
         weight = self.scale / depth
-        J = np.zeros((*x.shape, 2, 8))
-        J[..., 0, 0] = J[..., 1, 3] = weight * x
-        J[..., 0, 1] = J[..., 1, 4] = weight * y
-        J[..., 0, 2] = J[..., 1, 5] = weight
-        J[..., 0, 6], J[..., 0, 7] = -weight * x * u, -weight * y * u
-        J[..., 1, 6], J[..., 1, 7] = -weight * x * v, -weight * y * v
-        r = (np.stack([u, v], axis=-1) - self.target) * self.scale[..., None]
-        J, r = J.reshape(len(h), -1, 8), r.reshape(len(h), -1)
-        cost = 0.5 * (r * r).sum(axis=1)
-        cost[np.any((depth <= 0) & (self.scale > 0), axis=1)] = np.inf
-        empty = np.zeros((len(h), 0, 8, 0))
-        Jt = np.swapaxes(J, 1, 2)
-        return NormalEquations(
-            cost,
-            Jt @ J,
-            (Jt @ r[..., None])[..., 0],
-            empty,
-            np.zeros((len(h), 0, 0, 0)),
-            np.zeros((len(h), 0, 0)),
-        )
+        weighted = weight[:, None] * self.source
+        columns[:, 0:2, 0] = columns[:, 3:5, 1] = weighted
+        columns[:, 2, 0] = columns[:, 5, 1] = weight
+        columns[:, 6:8] = -weighted[:, :, None] * uv[:, None]
+        columns[:, 8] = (uv - self.target) * self.scale[:, None]
+        columns = columns.reshape(len(H), 1, 9, -1)
+        return NormalEquations(columns @ np.swapaxes(columns, -1, -2), np.zeros((len(H), 9, 9)))
 
     def retract(self, state: _Entries, shared: Array, local: Array) -> _Entries:
         return _Entries(state.entries + shared)
+
+    def variance(self, squares: Array) -> Array:
+        return np.ones_like(squares)
+
+    def objective(self, squares: Array, shared_squares: Array) -> Array:
+        return squares
 
     def take(self, items: NDArray[np.intp]) -> _HomographyProblem:
         return _HomographyProblem(self.source[items], self.target[items], self.scale[items])
 
 
-def _centroid(points: Array, weights: Array) -> Array:
-    used = (weights > 0).astype(float)
-    centroid: Array = (points * used[..., None]).sum(axis=-2) / used.sum(axis=-1)[..., None]
-    return centroid
-
-
 def _normalise(points: Array, weights: Array) -> tuple[Array, Array]:
-    """Centre the points and scale them to a mean distance of sqrt(2); also the matrix that undoes it."""
+    """Centre points (..., 2, N), scale them to a mean distance of sqrt(2); also the matrix that undoes it.
+
+    Raises
+    ------
+    DegenerateViews
+        When fewer than four points are in use, or they are collinear.
+    """
     used = (weights > 0).astype(float)
-    centroid = _centroid(points, weights)
-    centred = points - centroid[..., None, :]
-    distance = (np.hypot(centred[..., 0], centred[..., 1]) * used).sum(axis=-1) / used.sum(axis=-1)
+    count = used.sum(axis=-1)
+    if np.any(count < 4):
+        raise DegenerateViews(
+            f"A view has {int(count.min())} points; four or more that are not on one line are needed."
+        )
+    centroid = (points * used[..., None, :]).sum(axis=-1) / count[..., None]
+    centred = points - centroid[..., None]
+    squares = centred * centred * used[..., None, :]
+    xx, yy = np.moveaxis(squares.sum(axis=-1), -1, 0)
+    xy = (centred[..., 0, :] * centred[..., 1, :] * used).sum(axis=-1)
+    largest = (xx + yy + np.hypot(xx - yy, 2 * xy)) / 2
+    if np.any(xx * yy - xy * xy <= (COLLINEAR * largest) ** 2):
+        raise DegenerateViews(
+            "The points of a view are collinear; show a board with points in two directions, not edge-on."
+        )
+    distance = np.sqrt(squares[..., 0, :] + squares[..., 1, :]).sum(axis=-1) / count
     scale = distance / np.sqrt(2)
     back = np.zeros((*scale.shape, 3, 3))
     back[..., 0, 0] = back[..., 1, 1] = scale

@@ -1,13 +1,21 @@
 """Levenberg-Marquardt for many problems at once.
 
-Each item b of a batch minimises its own cost F(x) = 1/2 |r(x)|^2. The unknowns come in two kinds: S shared
-ones (the camera) and L local ones in each of V groups (the pose of each view), and no row of r touches two
-groups. The normal equations are then bordered block diagonal and are solved by eliminating the groups (Schur
-complement), so that the work grows linearly with the number of views. A problem without groups has V = 0.
+Each item b of a batch minimises its own cost
+
+    F(x) = 1/2 |r(x)|^2 / v + 1/2 |c(x)|^2
+
+r are rows whose common variance v is either given or follows from |r|^2; c are rows of known variance 1. The
+unknowns come in two kinds: S shared ones (the camera) and L local ones in each of V groups (the pose of each
+view); no row of r touches two groups, and c depends on the shared ones alone. The normal equations are then
+bordered block diagonal and are solved by eliminating the groups (Schur complement), so that the work grows
+linearly with the number of views.
 
 The damping is Marquardt's, lambda diag(J'J), which makes the steps independent of the units of the unknowns;
-lambda follows the gain ratio as Nielsen proposes (Madsen, Nielsen, Tingleff: Methods for Non-Linear Least
-Squares Problems, 2004, eq 2.21).
+lambda follows the gain ratio.
+
+Where the variance follows the residuals it is set anew after every step. That descends too: F with v(|r|^2)
+is the tangent of a function whose slope 1 / 2v falls as |r|^2 grows, and lies above it (iteratively
+reweighted least squares).
 """
 
 from __future__ import annotations
@@ -34,35 +42,50 @@ class Stop(IntEnum):
 
     ITERATIONS = 0
     """The iterations ran out first: the result may not be a minimum."""
-    GRADIENT = 1
-    """The residual is orthogonal to every column of the Jacobian."""
-    STEP = 2
-    """The step would move no row by as much as the tolerance."""
-    COST = 3
-    """The cost fell by less than its tolerance, as predicted."""
-    STALLED = 4
+    CONVERGED = 1
+    """No step is predicted to lower the cost by more than the tolerance."""
+    STALLED = 2
     """No step of any length lowered the cost."""
 
 
 class NormalEquations(NamedTuple):
-    """One linearisation of a batch, in the form J'J and J'r.
+    """One linearisation of a batch: products of the columns of the Jacobian and of the residual.
 
     Attributes
     ----------
-    cost : (B,) half the sum of squared rows; infinite where the state is not allowed
-    H_shared : (B, S, S)
-    g_shared : (B, S)
-    H_cross : (B, V, S, L)
-    H_local : (B, V, L, L)
-    g_local : (B, V, L)
+    groups : (B, V, L + S + 1, L + S + 1)
+        [J_local, J_shared, r]' [J_local, J_shared, r] of each group; NaN where the state is not allowed.
+    shared : (B, S + 1, S + 1)
+        [J, c]' [J, c] of the rows of variance 1.
     """
 
-    cost: Array
-    H_shared: Array
-    g_shared: Array
-    H_cross: Array
-    H_local: Array
-    g_local: Array
+    groups: Array
+    shared: Array
+
+    @property
+    def squares(self) -> Array:
+        """(B,) |r|^2."""
+        total: Array = self.groups[:, :, -1, -1].sum(axis=1)
+        return total
+
+    @property
+    def shared_squares(self) -> Array:
+        """(B,) |c|^2."""
+        squares: Array = self.shared[:, -1, -1]
+        return squares
+
+    def squares_after(self, shared: Array, local: Array) -> Array:
+        """(B,) |r + J step|^2."""
+        one = np.ones((*local.shape[:2], 1))
+        shared = np.broadcast_to(shared[:, None], (*local.shape[:2], shared.shape[1]))
+        step = np.concatenate([local, shared, one], axis=2)[..., None]
+        squares: Array = (np.swapaxes(step, -1, -2) @ self.groups @ step).sum(axis=(1, 2, 3))
+        return squares
+
+    def cost(self, variance: Array) -> Array:
+        """(B,) F, NaN where the state is not allowed."""
+        cost: Array = 0.5 * (self.squares / variance + self.shared_squares)
+        return cost
 
 
 class Problem(Protocol[State]):
@@ -74,6 +97,12 @@ class Problem(Protocol[State]):
     def retract(self, state: State, shared: Array, local: Array) -> State:
         """Step away from a state: shared (B, S), local (B, V, L)."""
 
+    def variance(self, squares: Array) -> Array:
+        """Variance v (B,) of the rows r for their sums of squares (B,)."""
+
+    def objective(self, squares: Array, shared_squares: Array) -> Array:
+        """What tells the better of two minima (B,), for the sums of squares (B,) of the rows r and c."""
+
     def take(self, items: NDArray[np.intp]) -> Problem[State]:
         """Keep some items of the batch only."""
 
@@ -84,19 +113,16 @@ class Tolerances:
 
     Parameters
     ----------
-    gradient : float
-        Largest cosine between the residual and a column of the Jacobian.
-    step : float
-        Largest change of the rows that a step would make, in the unit of the rows.
-    cost : float
-        Smallest relative decrease of the cost, actual and predicted.
+    decrease : float
+        Predicted decrease of the cost. Half the square of the step in units of its own standard deviation.
+    relative : float
+        The same as a share of the cost.
     iterations : int
         Steps tried at most, accepted or not.
     """
 
-    gradient: float = 1e-12
-    step: float = 1e-10
-    cost: float = 1e-14
+    decrease: float = 1e-20
+    relative: float = 1e-14
     iterations: int = 200
 
 
@@ -107,18 +133,45 @@ class Minimum(Generic[State]):
     Attributes
     ----------
     state : tuple of arrays, batch first
-    cost : (B,)
+    equations : NormalEquations
+        Linearised there.
+    variance : (B,)
+    objective : (B,) infinite for items that did not start from an allowed state
     stop : (B,) of :class:`Stop`
     iterations : (B,) steps tried
     """
 
     state: State
-    cost: Array
+    equations: NormalEquations
+    variance: Array
+    objective: Array
     stop: NDArray[np.int8]
     iterations: NDArray[np.int64]
 
+    def take(self, items: NDArray[np.intp]) -> Minimum[State]:
+        """Keep some items only."""
+        state, equations = take(self.state, items), take(self.equations, items)
+        return Minimum(
+            state,
+            equations,
+            self.variance[items],
+            self.objective[items],
+            self.stop[items],
+            self.iterations[items],
+        )
 
-def minimise(problem: Problem[State], start: State, tolerances: Tolerances = Tolerances()) -> Minimum[State]:
+    def best(self) -> Minimum[State]:
+        """Keep the item of lowest objective."""
+        return self.take(np.array([np.argmin(self.objective)]))
+
+
+def minimise(
+    problem: Problem[State],
+    start: State,
+    tolerances: Tolerances = Tolerances(),
+    race: bool = False,
+    equations: NormalEquations | None = None,
+) -> Minimum[State]:
     """Minimise every item of a batch from its own start.
 
     Parameters
@@ -128,152 +181,157 @@ def minimise(problem: Problem[State], start: State, tolerances: Tolerances = Tol
     start : tuple of arrays
         Batch first.
     tolerances : Tolerances
+    race : bool
+        End all as soon as the item of lowest objective has converged.
+    equations : NormalEquations, optional
+        Of the start, where they are known.
 
     Returns
     -------
     Minimum
         An item whose start is not allowed (infinite cost) stops at once, as stalled, with infinite cost.
     """
-    size = len(start[0])
-    active = np.arange(size)
-    state, equations = start, problem.linearise(start)
-    final_state = tuple(part.copy() for part in start)
-    final_cost = equations.cost.copy()
-    stop = np.full(size, Stop.ITERATIONS, dtype=np.int8)
-    iterations = np.zeros(size, dtype=np.int64)
-    damping, growth = np.full(size, INITIAL_DAMPING), np.full(size, 2.0)
-    reason = np.where(np.isfinite(equations.cost), _flat(equations, tolerances), Stop.STALLED).astype(np.int8)
-    for iteration in range(tolerances.iterations + 1):
-        done = reason > 0
-        if done.any() or iteration == tolerances.iterations:
-            ended = np.flatnonzero(done) if iteration < tolerances.iterations else np.arange(len(active))
-            _store(final_state, state, active, ended)
-            final_cost[active[ended]] = equations.cost[ended]
-            stop[active[ended]], iterations[active[ended]] = reason[ended], iteration
-            left = np.flatnonzero(~done)
-            if iteration == tolerances.iterations or not len(left):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        if equations is None:
+            equations = problem.linearise(start)
+        return _minimise(problem, start, equations, tolerances, race)
+
+
+def _minimise(
+    problem: Problem[State], start: State, equations: NormalEquations, tolerances: Tolerances, race: bool
+) -> Minimum[State]:
+    whole = problem
+    # What is not allowed is NaN from here on.
+    v = problem.variance(equations.squares) + 0 * equations.squares
+    size = len(v)
+    final = _Final(tuple(part.copy() for part in start), NormalEquations(*(p.copy() for p in equations)), v)
+    stop, iterations = np.full(size, Stop.STALLED, dtype=np.int8), np.zeros(size, dtype=np.int64)
+    state, active = start, np.flatnonzero(np.isfinite(v))
+    if len(active) < size:
+        state, problem, v = take(start, active), problem.take(active), v[active]
+        equations = take(equations, active)
+    damping, growth = np.full(len(active), INITIAL_DAMPING), np.full(len(active), 2.0)
+    for iteration in range(tolerances.iterations + 1 if len(active) else 0):
+        cost = equations.cost(v)
+        shared, local, predicted = solve(equations, v, damping)
+        # With heavy damping any step is predicted to gain little, which says nothing about the minimum.
+        converged = (predicted <= tolerances.decrease + tolerances.relative * cost) & (damping <= 1)
+        stalled = damping > LARGEST_DAMPING
+        going_on = ~(converged | stalled)
+        won = (
+            race
+            and converged.any()
+            and converged[np.argmin(problem.objective(equations.squares, equations.shared_squares))]
+        )
+        if won or not going_on.all() or iteration == tolerances.iterations:
+            stop[active], iterations[active] = np.where(stalled, Stop.STALLED, converged), iteration
+            final.store(active, state, equations, v)
+            if won or iteration == tolerances.iterations or not going_on.any():
                 break
-            active, damping, growth = active[left], damping[left], growth[left]
-            state, problem = _take(state, left), problem.take(left)
-            equations = NormalEquations(*(part[left] for part in equations))
-        shared, local, predicted, moved = solve(equations, damping)
+            left = np.flatnonzero(going_on)
+            active, damping, growth, cost = active[left], damping[left], growth[left], cost[left]
+            shared, local, predicted, v = shared[left], local[left], predicted[left], v[left]
+            state, problem = take(state, left), problem.take(left)
+            equations = take(equations, left)
         trial = problem.retract(state, shared, local)
         trial_equations = problem.linearise(trial)
-        decrease = equations.cost - trial_equations.cost
-        better = np.isfinite(trial_equations.cost) & (decrease > 0)
-        # With heavy damping any step is predicted to gain little, which says nothing about the minimum.
-        small = (predicted <= tolerances.cost * equations.cost) & (damping <= 1)
-        small &= ~better | (decrease <= tolerances.cost * equations.cost)
-        state = _where(better, trial, state)
-        equations = NormalEquations(*_where(better, trial_equations, equations))
-        damping, growth = _damp(better, decrease, predicted, damping, growth)
-        reason = _flat(equations, tolerances)
-        for stop_here, why in (
-            (damping > LARGEST_DAMPING, Stop.STALLED),
-            (moved <= tolerances.step, Stop.STEP),
-            (small, Stop.COST),
-        ):
-            reason = np.where(stop_here, why, reason).astype(np.int8)
+        decrease = cost - trial_equations.cost(v)
+        better = decrease > 0
+        if better.all():
+            state, equations = trial, trial_equations
+        else:
+            state = _where(better, trial, state)
+            equations = _where(better, trial_equations, equations)
+        damping, growth = _damp(better, decrease / predicted, damping, growth)
+        v = problem.variance(equations.squares)
     # A State is a named tuple, which takes its parts one by one.
-    return Minimum(type(start)(*final_state), final_cost, stop, iterations)
+    objective = np.nan_to_num(
+        whole.objective(final.equations.squares, final.equations.shared_squares), nan=np.inf
+    )
+    return Minimum(type(start)(*final.state), final.equations, final.variance, objective, stop, iterations)
 
 
-def solve(equations: NormalEquations, damping: Array) -> tuple[Array, Array, Array, Array]:
+class _Final(NamedTuple):
+    """Where the items that have stopped ended."""
+
+    state: tuple[Array, ...]
+    equations: NormalEquations
+    variance: Array
+
+    def store(
+        self, items: NDArray[np.intp], state: tuple[Array, ...], equations: NormalEquations, v: Array
+    ) -> None:
+        for target, values in zip(
+            (*self.state, *self.equations, self.variance), (*state, *equations, v), strict=True
+        ):
+            target[items] = values
+
+
+def solve(equations: NormalEquations, variance: Array, damping: Array) -> tuple[Array, Array, Array]:
     """One damped Gauss-Newton step.
 
     Returns
     -------
     shared : (B, S)
     local : (B, V, L)
-    predicted : (B,) decrease of the cost in the linear model
-    moved : (B,) root sum of squares of the change of the rows, column by column
+    predicted : (B,) decrease of the cost in the linear model, damping included
     """
-    _, H, g, cross, H_local, g_local = equations
-    size, shared_count = g.shape
-    d_shared, d_local = _diagonal(H), _diagonal(H_local)
-    H = _add_diagonal(H, damping[:, None] * d_shared)
-    views = g_local.shape[1]
-    if views:
-        blocks = _add_diagonal(H_local, damping[:, None, None] * d_local)
-        right = np.concatenate([cross.swapaxes(-1, -2), g_local[..., None]], axis=-1)
-        eliminated = _solve(blocks, right)  # (B, V, L, S + 1)
-        reduced = (cross @ eliminated).sum(axis=1)
-        H, g = H - reduced[..., :shared_count], g - reduced[..., shared_count]
-    shared = -_solve(H, g[..., None])[..., 0] if shared_count else np.zeros((size, 0))
-    local = np.zeros_like(g_local)
-    if views:
-        local = (
-            -(eliminated[..., :shared_count] @ shared[:, None, :, None])[..., 0]
-            - eliminated[..., shared_count]
-        )
-    scaled = d_shared * shared**2
-    scaled_local = d_local * local**2
-    squares = scaled.sum(axis=1) + scaled_local.sum(axis=(1, 2))
-    descent = -(equations.g_shared * shared).sum(axis=1) - (g_local * local).sum(axis=(1, 2))
-    return shared, local, 0.5 * (descent + damping * squares), np.sqrt(squares)
+    groups, constraint = equations
+    size = constraint.shape[-1] - 1
+    count = groups.shape[-1] - size - 1
+    total = groups[:, :, count:, count:].sum(axis=1) + variance[:, None, None] * constraint
+    # All scaled to a unit diagonal, which spares half the digits.
+    scale_local = _scale(groups)[:, :, :count, None]
+    blocks = groups[:, :, :count, :count] * (scale_local * np.swapaxes(scale_local, -1, -2))
+    index = np.arange(max(count, size))
+    blocks[:, :, index[:count], index[:count]] = 1 + damping[:, None, None]
+    cross = groups[:, :, :count, count:] * scale_local
+    eliminated = _solve(blocks, cross)  # (B, V, L, S + 1)
+    gained = (np.swapaxes(cross, -1, -2) @ eliminated).sum(axis=1)
+    scale = _scale(total)[:, :-1, None]
+    reduced = (total - gained)[:, :-1] * scale
+    H = reduced[:, :, :-1] * np.swapaxes(scale, -1, -2)
+    H[:, index[:size], index[:size]] += damping[:, None]
+    gradient = reduced[:, :, -1:]
+    step = _solve(H, -gradient)
+    predicted = gained[:, -1, -1] - (gradient * step).sum(axis=(1, 2))
+    step *= scale
+    # The last column of what was eliminated belongs to the residual: its unknown is 1.
+    local = -(eliminated[..., :-1] @ step[:, None] + eliminated[..., -1:]) * scale_local
+    return step[..., 0], local[..., 0], 0.5 * predicted / variance
 
 
-def _damp(
-    better: NDArray[np.bool_], decrease: Array, predicted: Array, damping: Array, growth: Array
-) -> tuple[Array, Array]:
+def _damp(better: NDArray[np.bool_], gain: Array, damping: Array, growth: Array) -> tuple[Array, Array]:
     """Damping of the next step and its growth: less after a good step, more and more after bad ones."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        gain = np.where(better, decrease / predicted, 0)
-    eased = damping * np.maximum(1 / 3, 1 - (2 * gain - 1) ** 3)
-    return np.where(better, eased, damping * growth), np.where(better, 2.0, 2 * growth)
+    gain = np.where(better, gain, 0)
+    kept = np.where(better, np.maximum(1 / 10, 1 - (2 * gain - 1) ** 3), growth)
+    return np.maximum(damping * kept, 1e-15), np.where(better, 2.0, 2 * growth)
 
 
-def _flat(equations: NormalEquations, tolerances: Tolerances) -> NDArray[np.int8]:
-    length = np.sqrt(2 * equations.cost)
-    worst = np.zeros_like(length)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for gradient, hessian in (
-            (equations.g_shared, equations.H_shared),
-            (equations.g_local, equations.H_local),
-        ):
-            cosine = np.abs(gradient) / np.sqrt(_diagonal(hessian))
-            cosine = cosine.reshape(len(length), -1) / length[:, None]
-            worst = np.maximum(worst, np.max(cosine, axis=1, initial=0.0))
-    return np.where((worst <= tolerances.gradient) | (length == 0), Stop.GRADIENT, 0).astype(np.int8)
-
-
-def _diagonal(matrices: Array) -> Array:
+def _scale(matrices: Array) -> Array:
     diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
     # A column without any row to hold it keeps its value; any positive number does that.
-    return np.where(diagonal > 0, diagonal, 1.0)
-
-
-def _add_diagonal(matrices: Array, values: Array) -> Array:
-    result = matrices.copy()
-    index = np.arange(matrices.shape[-1])
-    result[..., index, index] += values
-    return result
+    scale: Array = 1 / np.sqrt(np.maximum(diagonal, 1e-200))
+    return scale
 
 
 def _solve(matrices: Array, right: Array) -> Array:
-    """Solve symmetric systems after scaling them to a unit diagonal, which spares half the digits."""
-    scale = 1 / np.sqrt(_diagonal(matrices))
-    scaled = matrices * scale[..., :, None] * scale[..., None, :]
     try:
-        solution = np.linalg.solve(scaled, right * scale[..., None])
+        return np.asarray(np.linalg.solve(matrices, right), dtype=np.float64)
     except np.linalg.LinAlgError:
-        solution = np.linalg.pinv(scaled, hermitian=True) @ (right * scale[..., None])
-    return solution * scale[..., None]
+        return np.asarray(np.linalg.pinv(matrices, hermitian=True) @ right, dtype=np.float64)
 
 
-def _where(choose: NDArray[np.bool_], first: State, second: State) -> State:
+Tuple = TypeVar("Tuple", bound=tuple[Array, ...])
+
+
+def _where(choose: NDArray[np.bool_], first: Tuple, second: Tuple) -> Tuple:
     parts = (
         np.where(choose.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(first, second, strict=True)
     )
     return type(first)(*parts)
 
 
-def _take(state: State, items: NDArray[np.intp]) -> State:
+def take(state: Tuple, items: NDArray[np.intp]) -> Tuple:
+    """Keep some items of a state or of normal equations."""
     return type(state)(*(part[items] for part in state))
-
-
-def _store(
-    target: tuple[Array, ...], state: State, active: NDArray[np.intp], ended: NDArray[np.intp]
-) -> None:
-    for part, values in zip(target, state, strict=True):
-        part[active[ended]] = values[ended]

@@ -8,9 +8,13 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import project_jacobians, project_pixel_model_jacobians
+from .distortion import distort_scaled
 
 Array = NDArray[np.float64]
+
+_EYE = np.eye(2)[:, :, None]
+_TANGENTIAL_SWAPPED = np.array([0, 1, 3, 2])
+"""The paper's k1, k2, k3, k4 are k1, k2, p2, p1 of plumb_bob, and the other way round."""
 
 
 class ScaleFree(NamedTuple):
@@ -82,42 +86,47 @@ class ScaleFree(NamedTuple):
             axis=-1,
         )
 
-    def project(self, points: Array, theta: Array) -> tuple[Array, Array, Array]:
-        """Project points and differentiate.
+    def project(self, rays: Array, theta: Array, by_theta: Array) -> tuple[Array, Array]:
+        """Project and differentiate.
+
+        In units of half the diagonal, where a focal length puts an undistorted point at rays / rc, the
+        coefficients of the distortion are a1, a2, b1 and b2 themselves.
 
         Parameters
         ----------
-        points : (B, V, N, 3) camera frame, metres
-        theta : (B, size)
+        rays : (B, V, 2, N)
+            x / z and y / z.
+        theta : (B, 8)
+        by_theta : (B, V, 8, 2, N), output
+            Derivative of the pixels by the unknowns.
 
         Returns
         -------
-        pixels : (B, V, N, 2)
-        d_points : (B, V, N, 2, 3)
-        d_theta : (B, V, N, 2, size)
+        pixels : (B, V, 2, N)
+        by_rays : (B, V, 2, 2, N)
+            Derivative by x / z, then y / z, of both coordinates.
         """
+        half = self.diagonal / 2
+        fx, aspect = np.exp(theta[:, :2]).T
+        before, after = np.empty((2, len(theta), 2))
+        before[:] = fx[:, None] / half
+        after[:] = half
+        (before if self.in_pixels else after)[:, 1] *= aspect
+        distorted, by_rays, by_theta[:, :, 4:8] = distort_scaled(rays, theta[:, 4:8], before, after)
+        along = by_rays * rays[:, :, :, None]
+        np.add(along[:, :, 0], along[:, :, 1], out=by_theta[:, :, 0])
         if self.in_pixels:
-            return self._project_in_pixels(points, theta)
-        natural = self.natural(theta)[:, None, :]
-        distortion = np.concatenate([natural[..., 4:], np.zeros_like(natural[..., :1])], axis=-1)
-        found = project_jacobians(points, natural[..., :4], distortion)
-        d_natural = np.concatenate([found.d_intrinsics, found.d_distortion[..., :4]], axis=-1)
-        d_theta = d_natural @ self.natural_jacobian(theta)[:, None, None]
-        return found.pixels, found.d_points, d_theta
+            by_theta[:, :, 1] = along[:, :, 1]
+        else:
+            by_theta[:, :, 1, 0] = 0
+            by_theta[:, :, 1, 1] = distorted[:, :, 1]
+        by_theta[:, :, 2:4] = self.diagonal * _EYE
+        return distorted + (self.centre + self.diagonal * theta[:, 2:4])[:, None, :, None], by_rays
 
     def pixel_coefficients(self, theta: Array) -> Array:
         """(..., 4) k1, k2, k3, k4 of the paper's eqs 10-13 that the unknowns mean with `in_pixels`."""
         half = self.diagonal / 2
         return theta[..., [4, 5, 7, 6]] / half ** np.array([2, 4, 1, 1])
-
-    def _project_in_pixels(self, points: Array, theta: Array) -> tuple[Array, Array, Array]:
-        natural = self.natural(theta)[:, None, :]
-        intrinsics = np.concatenate([natural[..., :4], np.zeros_like(natural[..., :1])], axis=-1)
-        found = project_pixel_model_jacobians(points, intrinsics, self.pixel_coefficients(theta)[:, None, :])
-        to_intrinsics = self.natural_jacobian(theta)[:, None, None, :4, :4]
-        by_distortion = found.d_distortion[..., [0, 1, 3, 2]] / (self.diagonal / 2) ** np.array([2, 4, 1, 1])
-        d_theta = np.concatenate([found.d_intrinsics[..., :4] @ to_intrinsics, by_distortion], axis=-1)
-        return found.pixels, found.d_points, d_theta
 
 
 class PixelModel(NamedTuple):
@@ -139,12 +148,21 @@ class PixelModel(NamedTuple):
             return theta[..., 5:9]
         return np.concatenate([theta[..., 5:7], np.zeros_like(theta[..., 5:7])], axis=-1)
 
-    def project(self, points: Array, theta: Array) -> tuple[Array, Array, Array]:
-        """Project points and differentiate, as :meth:`ScaleFree.project` does."""
-        parts = theta[:, None, :]
-        found = project_pixel_model_jacobians(points, parts[..., :5], self.coefficients(parts))
-        d_theta = np.concatenate([found.d_intrinsics, found.d_distortion], axis=-1)
-        return found.pixels, found.d_points, d_theta[..., : self.size]
+    def project(self, rays: Array, theta: Array, by_theta: Array) -> tuple[Array, Array]:
+        """Project and differentiate, as :meth:`ScaleFree.project` does."""
+        fx, fy, _, _, skew = theta[:, :5].T[:, :, None, None]
+        x, y = rays[:, :, 0], rays[:, :, 1]
+        undistorted = np.stack([fx * x + skew * y, fy * y], axis=2)
+        coefficients = self.coefficients(theta)[:, _TANGENTIAL_SWAPPED]
+        one = np.ones((len(theta), 2))
+        distorted, by_uv, by_coefficients = distort_scaled(undistorted, coefficients, one, one)
+        by_theta[:, :, 0:2] = by_uv * rays[:, :, :, None]
+        by_theta[:, :, 2:4] = _EYE
+        by_theta[:, :, 4] = by_uv[:, :, 0] * y[:, :, None]
+        by_theta[:, :, 5:] = by_coefficients[:, :, _TANGENTIAL_SWAPPED[: self.size - 5]]
+        by_rays = by_uv * theta[:, None, :2, None, None]
+        by_rays[:, :, 1] += skew[:, :, None] * by_uv[:, :, 0]
+        return distorted + theta[:, None, 2:4, None], by_rays
 
 
 Parametrisation: TypeAlias = ScaleFree | PixelModel

@@ -23,9 +23,9 @@ def planar_poses(H: Array, board_points: Array, rays: Array, weights: Array) -> 
     ----------
     H : (..., 3, 3)
         Homographies from the board's plane, centroid at the origin, to normalised coordinates (A^-1 H).
-    board_points : (..., N, 2)
+    board_points : (..., 2, N)
         In that plane, metres.
-    rays : (..., N, 2)
+    rays : (..., 2, N)
         Normalised image coordinates of the points.
     weights : (..., N)
         0 leaves a point out.
@@ -36,10 +36,11 @@ def planar_poses(H: Array, board_points: Array, rays: Array, weights: Array) -> 
         The pose with the smaller error first.
     """
     R = _rotations(H)
-    t = _translations(R, board_points, rays, weights)
-    X = _in_camera(R, board_points) + t[..., None, :]
+    turned = R[..., :2] @ board_points[..., None, :, :]
+    t = _translations(turned, rays, weights)
+    X = turned + t[..., None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = (X[..., :2] / X[..., 2:] - rays[..., None, :, :]) * weights[..., None, :, None]
+        error = (X[..., :2, :] / X[..., 2:, :] - rays[..., None, :, :]) * weights[..., None, None, :]
     squares = (error * error).sum(axis=(-2, -1))
     order = np.argsort(squares, axis=-1)
     return (
@@ -82,22 +83,15 @@ def _from_z_to(ray: Array) -> Array:
     return R
 
 
-def _translations(R: Array, board_points: Array, rays: Array, weights: Array) -> Array:
+def _translations(turned: Array, rays: Array, weights: Array) -> Array:
     """Solve x (X3 + t3) = X1 + t1 and its like for y, in the least-squares sense."""
-    X = _in_camera(R, board_points)
-    x, y = rays[..., None, :, 0], rays[..., None, :, 1]
-    used = np.broadcast_to((weights > 0)[..., None, :], X.shape[:-1]).astype(float)
-    normal = np.zeros((*X.shape[:-2], 3, 3))
-    normal[..., 0, 0] = normal[..., 1, 1] = used.sum(axis=-1)
-    normal[..., 0, 2] = normal[..., 2, 0] = -(used * x).sum(axis=-1)
-    normal[..., 1, 2] = normal[..., 2, 1] = -(used * y).sum(axis=-1)
-    normal[..., 2, 2] = (used * (x * x + y * y)).sum(axis=-1)
-    e, f = used * (x * X[..., 2] - X[..., 0]), used * (y * X[..., 2] - X[..., 1])
-    right = np.stack([e.sum(axis=-1), f.sum(axis=-1), -(x * e + y * f).sum(axis=-1)], axis=-1)
+    used = (weights > 0).astype(float)[..., None, :]
+    normal = np.zeros((*rays.shape[:-2], 1, 3, 3))
+    normal[..., 0, 0, 0] = normal[..., 0, 1, 1] = used[..., 0, :].sum(axis=-1)
+    normal[..., 0, :2, 2] = normal[..., 0, 2, :2] = -(used * rays).sum(axis=-1)
+    normal[..., 0, 2, 2] = (used * rays * rays).sum(axis=(-2, -1))
+    rays, used = rays[..., None, :, :], used[..., None, :, :]
+    miss = used * (rays * turned[..., 2:, :] - turned[..., :2, :])
+    right = np.concatenate([miss.sum(axis=-1), -(rays * miss).sum(axis=(-2, -1))[..., None]], axis=-1)
     translations: Array = np.linalg.solve(normal, right[..., None])[..., 0]
     return translations
-
-
-def _in_camera(R: Array, board_points: Array) -> Array:
-    rotated: Array = board_points[..., None, :, :] @ np.swapaxes(R[..., :2], -1, -2)
-    return rotated

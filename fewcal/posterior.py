@@ -36,7 +36,7 @@ class Posterior(NamedTuple):
 
 
 def posterior(rows: Rows, prior: Array | None = None) -> Posterior:
-    """Covariance of the camera from the rows of its linearisation, batch of one.
+    """Covariance of the camera from the rows of its linearisation.
 
     Each view is reduced by its own QR decomposition to the rows that speak of the camera alone, so that the
     work grows linearly with the number of views.
@@ -49,11 +49,11 @@ def posterior(rows: Rows, prior: Array | None = None) -> Posterior:
         prior are nearly flat, as if nothing had been known. Those of `rows` when left out.
     """
     reduced = camera_rows(rows)
-    constraint = rows.prior_by_camera[0]
-    prior = constraint if prior is None else prior
+    constraint = rows.prior_by_camera
+    known = covariance_from_rows(constraint if prior is None else prior)
     return Posterior(
         covariance_from_rows(np.concatenate([reduced.reshape(-1, reduced.shape[-1]), constraint])),
-        covariance_from_rows(prior) if np.linalg.matrix_rank(prior) == prior.shape[1] else None,
+        known if np.isfinite(known).all() else None,
     )
 
 
@@ -66,7 +66,7 @@ def camera_rows(rows: Rows) -> Array:
     them independent.
     """
     pose_count, size = rows.by_pose.shape[-1], rows.by_camera.shape[-1]
-    stacked = np.concatenate([rows.by_pose[0], rows.by_camera[0]], axis=-1)
+    stacked = np.concatenate([rows.by_pose, rows.by_camera], axis=-1)
     length = np.linalg.norm(stacked, axis=1, keepdims=True)
     length = np.where(length > 0, length, 1)
     missing = pose_count + size - stacked.shape[1]

@@ -83,10 +83,9 @@ def information(calibration: Calibration, priors: Priors = Priors()) -> Informat
     poses = np.stack(calibration.board_poses)
     rotation = poses[:, :3, :3]
     position = (rotation @ stack.centroid[..., None])[..., 0] + poses[:, :3, 3]
-    width = max(calibration.image_size)
-    problem = Adjustment(stack, model, lambda t: priors.rows(t, width), np.array([calibration.sigma_px]))
-    rows = problem.rows(Geometry(theta, rotation[None], position[None]))
-    reduced, prior = camera_rows(rows), rows.prior_by_camera[0]
+    problem = Adjustment(stack, model, priors.rows(max(calibration.image_size)))
+    rows = problem.rows(Geometry(theta, (rotation @ stack.plane)[None], position[None]), calibration.sigma_px)
+    reduced, prior = camera_rows(rows), rows.prior_by_camera
     return Information(np.swapaxes(reduced, -1, -2) @ reduced, prior.T @ prior, _spread(model, theta[0]))
 
 

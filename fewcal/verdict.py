@@ -6,6 +6,7 @@ posterior leaves open and at the arrangements of views that are known to leave a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
+from .distortion import surely_invertible
 
 Array = NDArray[np.float64]
 
@@ -134,6 +136,10 @@ def tilt_deg(rotations: Array) -> Array:
 def folds_inside(camera: Camera, image_size: tuple[int, int]) -> bool:
     """Whether the distortion model turns back on itself somewhere in the image."""
     w, h = image_size
+    x = max(camera.cx, w - 1 - camera.cx) / camera.fx
+    y = max(camera.cy, h - 1 - camera.cy) / camera.fy
+    if surely_invertible(math.hypot(x, y), camera.distortion):
+        return False
     border = np.concatenate(
         [
             [[x, y] for x in np.linspace(0, w - 1, 17) for y in (0, h - 1)],

@@ -90,13 +90,13 @@ class ViewStack(NamedTuple):
 
     Attributes
     ----------
-    points : (V, N, 3)
-        Board points about their centroid, metres, in the board's axes.
+    points : (V, 2, N)
+        Board points in the board's plane, about their centroid, metres. The points come last, here and below.
     centroid : (V, 3)
         Metres, in the board frame.
     plane : (V, 3, 3)
-        Rotation whose first two columns span the board's plane: ``points @ plane`` has z = 0.
-    pixels : (V, N, 2)
+        Rotation whose first two columns span the board's plane: ``plane[:, :2] @ points`` is the board.
+    pixels : (V, 2, N)
     weights : (V, N)
         Relative weights 1 / sigma with a mean square of 1 over all points.
     """
@@ -106,11 +106,6 @@ class ViewStack(NamedTuple):
     plane: NDArray[np.float64]
     pixels: NDArray[np.float64]
     weights: NDArray[np.float64]
-
-    @property
-    def plane_points(self) -> NDArray[np.float64]:
-        """(V, N, 2) board points in the board's plane, about their centroid, metres."""
-        return (self.points @ self.plane)[..., :2]
 
 
 def stack_views(views: Sequence[View]) -> ViewStack:
@@ -124,7 +119,7 @@ def stack_views(views: Sequence[View]) -> ViewStack:
     if not views:
         raise InvalidInput("There is no view to calibrate from; give at least one.")
     longest = max(len(view) for view in views)
-    points, pixels = np.zeros((len(views), longest, 3)), np.zeros((len(views), longest, 2))
+    points, pixels = np.zeros((2, len(views), 2, longest))
     weights, centroid = np.zeros((len(views), longest)), np.zeros((len(views), 3))
     plane = np.tile(np.eye(3), (len(views), 1, 1))
     for i, view in enumerate(views):
@@ -132,13 +127,14 @@ def stack_views(views: Sequence[View]) -> ViewStack:
         if count == 0:
             continue
         centroid[i] = view.object_points.mean(axis=0)
-        points[i, :count] = view.object_points - centroid[i]
-        pixels[i, :count] = view.image_points
-        pixels[i, count:] = view.image_points.mean(axis=0)
-        weights[i, :count] = 1 if view.sigma is None else 1 / np.hypot(view.sigma, UNEXPLAINED_PX)
-        if np.any(points[i, :, 2]):
-            axes = np.linalg.svd(points[i, :count], full_matrices=True)[2]
+        centred = view.object_points - centroid[i]
+        if np.any(centred[:, 2]):
+            axes = np.linalg.svd(centred, full_matrices=True)[2]
             plane[i] = (axes * [[1], [1], [np.linalg.det(axes)]]).T
+        points[i, :, :count] = (centred @ plane[i, :, :2]).T
+        pixels[i, :, :count] = view.image_points.T
+        # Padding lies at the centroid, in front of every camera.
+        weights[i, :count] = 1 if view.sigma is None else 1 / np.hypot(view.sigma, UNEXPLAINED_PX)
     if not any(view.sigma is None for view in views):
         weights /= np.sqrt((weights**2).sum() / (weights > 0).sum())
     return ViewStack(points, centroid, plane, pixels, weights)

@@ -38,9 +38,8 @@ def estimate_zhu2020(views: ViewStack, image_size: tuple[int, int]) -> Estimate:
         When the closed form puts a board behind the camera.
     """
     centre = np.array(image_size) / 2
-    plane = views.plane_points
-    H = homographies(plane, views.pixels, views.weights)
-    H = refine_homographies(H, plane, views.pixels, views.weights, centre)
+    H = homographies(views.points, views.pixels, views.weights)
+    H = refine_homographies(H, views.points, views.pixels, views.weights, centre)
     squared, u0, v0 = simplified_intrinsics(H, centre)
     f = checked_focal_length(squared)
     count = len(views.points)
@@ -52,7 +51,7 @@ def estimate_zhu2020(views: ViewStack, image_size: tuple[int, int]) -> Estimate:
         return r[:, None], rows
 
     start = np.array([f, f, u0, v0, 0.0])
-    problem = Adjustment(views, PixelModel(tangential=True), penalty, np.ones(1))
+    problem = Adjustment(views, PixelModel(tangential=True), penalty)
     return _refine(problem, H, start)
 
 
@@ -66,9 +65,9 @@ def estimate_zhang(views: ViewStack) -> Estimate:
     DegenerateViews
         When the closed form puts a board behind the camera.
     """
-    H = homographies(views.plane_points, views.pixels, views.weights)
+    H = homographies(views.points, views.pixels, views.weights)
     start = zhang_intrinsics(H)
-    problem = Adjustment(views, PixelModel(tangential=False), _unconstrained, np.ones(1))
+    problem = Adjustment(views, PixelModel(tangential=False), _unconstrained)
     return _refine(problem, H, start)
 
 
@@ -81,11 +80,10 @@ def _refine(problem: Adjustment, H: Array, intrinsics: Array) -> Estimate:
     fx, fy, u0, v0, skew = intrinsics
     A = np.array([[fx, skew, u0], [0, fy, v0], [0, 0, 1]])
     R, t = poses_from_homographies(H, A)
-    R = R @ np.swapaxes(problem.views.plane, -1, -2)
     theta = np.zeros((1, problem.model.size))
     theta[0, :5] = intrinsics
     found = minimise(problem, Geometry(theta, R[None], t[None]))
-    if not np.isfinite(found.cost[0]):
+    if not np.isfinite(found.objective[0]):
         raise DegenerateViews(
             'The closed form puts a board behind the camera; tilt the board more, or use method "map".'
         )
@@ -93,4 +91,4 @@ def _refine(problem: Adjustment, H: Array, intrinsics: Array) -> Estimate:
         raise DegenerateViews(
             'The refinement leads to a focal length that is not positive; add a view, or use method "map".'
         )
-    return Estimate(problem, found.state, Stop(int(found.stop[0])))
+    return Estimate(problem, found.state, 1.0, Stop(int(found.stop[0])))

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,9 +8,10 @@ from numpy.typing import NDArray
 from scenes import BOARD, CAMERA, SIZE, assert_derivative, differences, geometry, pose, view
 from scipy.spatial.transform import Rotation
 
-from fewcal.adjustment import Adjustment, Geometry, rotation_from_vector
+from fewcal.adjustment import LARGEST_FOCAL_STEP, POSE, Adjustment, Geometry, rotation_from_vector
 from fewcal.boards import Chessboard
 from fewcal.constraints import Priors
+from fewcal.noise import Noise
 from fewcal.parametrisation import PixelModel, ScaleFree
 from fewcal.views import View, stack_views
 
@@ -23,12 +22,9 @@ SMALL = Chessboard(5, 4, 0.04)
 """Fewer points than the other board, so that its view is padded."""
 POSES = [pose(40, 20), pose(35, 130, 60, points=SMALL.points)]
 VIEWS = stack_views([view(POSES[0]), view(POSES[1], SMALL.points)])
+PRIORS = Priors().rows(max(SIZE))
 THETA = FREE.theta(np.concatenate([CAMERA.intrinsics, CAMERA.distortion[:4]]))
 PAPER = np.array([1100.0, 1120.0, 640.0, 480.0, 2.0, -1e-7, 2e-14, 3e-7, -5e-7])
-
-
-def free_priors(theta: Array) -> tuple[Array, Array]:
-    return Priors().rows(theta, max(SIZE))
 
 
 def none(theta: Array) -> tuple[Array, Array]:
@@ -47,83 +43,83 @@ def state(theta: Array) -> Geometry:
 
 CASES: list[tuple[Adjustment, Geometry, Array]] = [
     (
-        Adjustment(VIEWS, FREE, free_priors, np.array([0.3, 0.5])),
+        Adjustment(VIEWS, FREE, PRIORS),
         state(np.stack([THETA, THETA + 0.01])),
         np.full(8, 1e-6),
     ),
     (
-        Adjustment(VIEWS, PixelModel(tangential=True), none, np.array([1.0, 0.2])),
+        Adjustment(VIEWS, PixelModel(tangential=True), none),
         state(np.stack([PAPER, PAPER * 1.02])),
         1e-2 * np.array([1, 1, 1, 1, 1, 1e-7, 1e-13, 1e-5, 1e-5]),
     ),
 ]
 
 
+def residuals(problem: Adjustment, at: Geometry) -> Array:
+    """(B, V, 2, N) pixels."""
+    return problem.jacobian(at)[:, :, -1]
+
+
 @pytest.mark.parametrize(("problem", "at", "step"), CASES)
 def test_jacobian_by_camera(problem: Adjustment, at: Geometry, step: Array) -> None:
     still = np.zeros((2, 2, 6))
-
-    def rows(shared: Array) -> Array:
-        return problem.rows(problem.retract(at, shared, still)).r
-
     zero = np.zeros((2, problem.model.size))
-    assert_derivative(problem.rows(at).by_camera, differences(rows, zero, step))
-
-    def prior(shared: Array) -> Array:
-        return problem.rows(problem.retract(at, shared, still)).prior
-
-    analytic = problem.rows(at).prior_by_camera
-    # A step well below the width of the narrowest prior.
-    numeric = differences(prior, zero, 1e-2 * step)
-    assert analytic.shape == numeric.shape
-    if analytic.size:
-        assert_derivative(analytic, numeric, 1e-5)
+    numeric = differences(lambda shared: residuals(problem, problem.retract(at, shared, still)), zero, step)
+    assert_derivative(np.moveaxis(problem.jacobian(at)[:, :, POSE:-1], 2, -1), numeric)
 
 
 @pytest.mark.parametrize(("problem", "at", "step"), CASES)
 def test_jacobian_by_turn_and_shift_of_each_board(problem: Adjustment, at: Geometry, step: Array) -> None:
-    def rows(local: Array) -> Array:
-        return problem.rows(problem.retract(at, np.zeros((2, problem.model.size)), local)).r
-
-    numeric = differences(rows, np.zeros((2, 2, 6)), 1e-6)
-    assert_derivative(problem.rows(at).by_pose, numeric)
+    zero = np.zeros((2, problem.model.size))
+    numeric = differences(
+        lambda local: residuals(problem, problem.retract(at, zero, local)), np.zeros((2, 2, 6)), 1e-6
+    )
+    assert_derivative(np.moveaxis(problem.jacobian(at)[:, :, :POSE], 2, -1), numeric)
 
 
 @pytest.mark.parametrize(("problem", "at", "step"), CASES)
 def test_normal_equations_are_those_of_the_rows(problem: Adjustment, at: Geometry, step: Array) -> None:
-    rows, found = problem.rows(at), problem.linearise(at)
+    found = problem.linearise(at)
     for b in range(2):
-        J = np.concatenate([rows.by_camera[b].reshape(-1, problem.model.size), rows.prior_by_camera[b]])
-        r = np.concatenate([rows.r[b].ravel(), rows.prior[b]])
-        assert found.cost[b] == pytest.approx(0.5 * r @ r, rel=1e-12, abs=1e-20)
-        np.testing.assert_allclose(found.H_shared[b], J.T @ J, rtol=1e-9, atol=1e-9 * np.abs(J.T @ J).min())
-        np.testing.assert_allclose(found.g_shared[b], J.T @ r, rtol=1e-7, atol=1e-12 * np.abs(J.T @ J).max())
+        rows = problem.rows(Geometry(*(part[b : b + 1] for part in at)), 0.5)
         for v in range(2):
-            P = rows.by_pose[b, v]
-            np.testing.assert_allclose(found.H_cross[b, v], rows.by_camera[b, v].T @ P, rtol=1e-7, atol=1e-3)
-            np.testing.assert_allclose(found.H_local[b, v], P.T @ P, rtol=1e-9, atol=1e-3)
-            np.testing.assert_allclose(found.g_local[b, v], P.T @ rows.r[b, v], rtol=1e-7, atol=1e-6)
+            columns = np.column_stack([rows.by_pose[v], rows.by_camera[v], rows.r[v]]) * 0.5
+            np.testing.assert_allclose(found.groups[b, v], columns.T @ columns, rtol=1e-9, atol=1e-9)
+        columns = np.column_stack([rows.prior_by_camera, rows.prior])
+        np.testing.assert_allclose(found.shared[b], columns.T @ columns)
+    variance = np.array([0.3, 0.5])
+    expected = 0.5 * (problem.squares(at).sum(axis=1) / variance + found.shared_squares)
+    np.testing.assert_allclose(found.cost(variance), expected)
 
 
 def test_the_true_camera_leaves_no_residual_and_padding_none_at_all() -> None:
     problem, at, _ = CASES[0]
-    rows = problem.rows(at)
-    np.testing.assert_allclose(rows.r[0], 0, atol=1e-9)
-    assert np.abs(rows.r[1]).max() > 1
-    padded = 2 * len(SMALL.points)
-    for part in (rows.r, rows.by_camera, rows.by_pose):
-        assert (part[:, 1, padded:] == 0).all()
-        assert (part[:, 0, padded:] != 0).any()
+    columns = problem.jacobian(at)
+    np.testing.assert_allclose(columns[0, :, -1], 0, atol=1e-9)
+    assert np.abs(columns[1, :, -1]).max() > 1
+    assert (columns[:, 1, ..., len(SMALL.points) :] == 0).all()
+    assert (columns[:, 0, ..., len(SMALL.points) :] != 0).any()
 
 
 def test_rows_are_in_units_of_their_noise_and_squares_are_in_pixels() -> None:
     problem, at, _ = CASES[0]
-    wider = replace(problem, sigma=2 * problem.sigma)
-    np.testing.assert_allclose(wider.rows(at).r, problem.rows(at).r / 2)
-    np.testing.assert_allclose(wider.squares(at), problem.squares(at))
     # The second start: camera and poses off by some pixels.
-    r = problem.rows(at).r[1] * problem.sigma[1]
-    np.testing.assert_allclose(problem.squares(at)[1], (r**2).sum(axis=1))
+    off = Geometry(*(part[1:] for part in at))
+    rows, wider = problem.rows(off, 1.0), problem.rows(off, 2.0)
+    for one, two in zip(rows[:3], wider[:3], strict=True):
+        np.testing.assert_allclose(two, one / 2)
+    np.testing.assert_allclose(problem.squares(off)[0], (rows.r**2).sum(axis=1))
+
+
+def test_a_noise_gives_variance_and_objective() -> None:
+    problem = CASES[0][0]
+    noise = Noise.of(VIEWS, Priors()).repeat(2)
+    squares, prior = np.array([10.0, 20.0]), np.array([1.0, 2.0])
+    np.testing.assert_array_equal(problem.variance(squares), 1)
+    np.testing.assert_array_equal(problem.objective(squares, prior), [5.5, 11])
+    noisy = problem.believing(noise)
+    np.testing.assert_array_equal(noisy.variance(squares), noise.variance(squares))
+    np.testing.assert_array_equal(noisy.objective(squares, prior), noise.objective(squares, prior))
 
 
 def test_relative_weights_of_points() -> None:
@@ -131,10 +127,28 @@ def test_relative_weights_of_points() -> None:
     weighted = stack_views([View(BOARD.points, CAMERA.project(BOARD.points, POSES[0]), sigma)])
     even = stack_views([view(POSES[0])])
     at = Geometry(THETA[None] + 0.01, *geometry(POSES[:1]))
-    r = [Adjustment(v, FREE, free_priors, np.ones(1)).rows(at).r.reshape(54, 2) for v in (weighted, even)]
+    r = [residuals(Adjustment(v, FREE, PRIORS), at)[0, 0] for v in (weighted, even)]
     ratio = r[0] / r[1]
-    np.testing.assert_allclose(ratio, ratio[[0] * 20 + [-1] * 34])
-    assert ratio[0, 0] > 3 * ratio[-1, 0]
+    np.testing.assert_allclose(ratio, ratio[:, [0] * 20 + [-1] * 34])
+    assert ratio[0, 0] > 3 * ratio[0, -1]
+
+
+def test_a_board_in_another_plane_is_the_same_board() -> None:
+    turn = pose(50, 70, 20)[:3, :3]
+    tilted = stack_views([View(BOARD.points @ turn.T, view(POSES[0]).image_points)])
+    rotation, position = geometry(POSES[:1])
+    # The board's own axes are turned back first; the plane's are those of the state.
+    at = Geometry(THETA[None], rotation @ turn.T @ tilted.plane, position)
+    np.testing.assert_allclose(residuals(Adjustment(tilted, FREE, PRIORS), at), 0, atol=1e-9)
+
+
+def test_a_step_of_the_focal_length_is_bounded() -> None:
+    problem, at, _ = CASES[0]
+    shared, local = np.zeros((2, 8)), np.zeros((2, 2, 6))
+    shared[:, 0], shared[:, 1] = (-4 * LARGEST_FOCAL_STEP, 0.5), 0.1
+    to = problem.retract(at, shared, local)
+    np.testing.assert_allclose((to.theta - at.theta)[:, 0], [-LARGEST_FOCAL_STEP, 0.5])
+    np.testing.assert_allclose((to.theta - at.theta)[:, 1], [0.1 / 4, 0.1])
 
 
 def test_a_board_behind_the_camera_is_not_allowed() -> None:
@@ -142,16 +156,17 @@ def test_a_board_behind_the_camera_is_not_allowed() -> None:
     behind = at.position.copy()
     behind[1, 0, 2] *= -1
     np.testing.assert_array_equal(
-        np.isfinite(problem.linearise(at._replace(position=behind)).cost), [True, False]
+        np.isfinite(problem.linearise(at._replace(position=behind)).squares), [True, False]
     )
 
 
 def test_take_keeps_some_starts() -> None:
-    problem, at, _ = CASES[0]
-    second = np.array([1])
-    alone = problem.take(second).linearise(Geometry(*(part[second] for part in at)))
-    for part, whole in zip(alone, problem.linearise(at), strict=True):
-        np.testing.assert_allclose(part[0], whole[1], rtol=1e-9, atol=1e-9)
+    problem = CASES[0][0]
+    assert problem.take(np.array([1])) is problem
+    noise = Noise(np.array([100.0, 50.0]), np.array([0.2, 0.3]), np.array([1.0, 0.0]))
+    kept = problem.believing(noise).take(np.array([1]))
+    squares = np.array([30.0, 40.0])
+    np.testing.assert_array_equal(kept.variance(squares[1:]), noise.variance(squares)[1:])
 
 
 @given(
@@ -164,3 +179,12 @@ def test_rotation_from_vector(direction: tuple[float, float, float], angle: floa
     np.testing.assert_allclose(R, Rotation.from_rotvec(vector).as_matrix(), rtol=0, atol=1e-14)
     both = rotation_from_vector(np.stack([vector, -vector]))
     np.testing.assert_allclose(both, [R, R.T], rtol=0, atol=1e-14)
+
+
+def test_steps_of_the_papers_focal_length_are_pixels_without_a_bound() -> None:
+    problem, at, _ = CASES[1]
+    shared = np.zeros((2, 9))
+    shared[:, 0] = 300.0
+    to = problem.retract(at, shared, np.zeros((2, 2, 6)))
+    np.testing.assert_allclose((to.theta - at.theta)[:, 0], 300)
+    np.testing.assert_array_equal(to.position, at.position)

@@ -22,7 +22,6 @@ from fewcal.constraints import (
     RadialPrior,
     StudentT,
     exponential_penalty,
-    reprojection,
 )
 from fewcal.errors import InvalidInput
 
@@ -35,17 +34,24 @@ Z = np.concatenate([[0.0], *(s * np.geomspace(1e-9, 1e4, 80) for s in (1, -1))])
 # --- one number --------------------------------------------------------------------------------------------
 
 
+def row(prior: Distribution, values: Array) -> tuple[Array, Array]:
+    """Row of one prior and its derivative for some values of the unknown, here the aspect ratio."""
+    theta = np.zeros((len(values), 8))
+    theta[:, 1] = values
+    r, J = Priors(log_aspect=prior).rows(1280)(theta)
+    return r[:, 1], J[:, 1, 1]
+
+
 @pytest.mark.parametrize(
     "prior", [Normal(-0.21, 0.4), StudentT(2.0, 0.0022), StudentT(3.0, 0.0134, 0.5), StudentT(1.25, 0.0011)]
 )
 def test_jacobian_of_one_row(prior: Distribution) -> None:
-    scale = getattr(prior, "sd", None) or prior.scale  # type: ignore[attr-defined]
     for z in Z:
         # A step in proportion, so that both the flat middle and the long tail are resolved.
-        step = 1e-5 * scale * max(1.0, abs(z))
-        value = np.array([prior.mean + z * scale])  # type: ignore[attr-defined]
-        slope = prior.row(value)[1]
-        numeric = differences(lambda at: prior.row(at)[0], value, step)[0]
+        step = 1e-5 * prior.scale * max(1.0, abs(z))
+        value = np.array([prior.mean + z * prior.scale])
+        slope = row(prior, value)[1]
+        numeric = differences(lambda at: row(prior, at)[0], value, step)[0]
         np.testing.assert_allclose(slope, numeric, rtol=1e-5)
 
 
@@ -54,7 +60,7 @@ def test_half_the_squared_row_of_a_t_prior_is_its_negative_log_density(
     nu: float, scale: float, mean: float
 ) -> None:
     values = mean + scale * Z
-    r, _ = StudentT(nu, scale, mean).row(values)
+    r, _ = row(StudentT(nu, scale, mean), values)
     expected = student.logpdf(mean, nu, mean, scale) - student.logpdf(values, nu, mean, scale)
     np.testing.assert_allclose(0.5 * r**2, expected, rtol=1e-9, atol=1e-12)
     # Far out the density sees mean + scale z, which has lost some digits of z.
@@ -63,15 +69,20 @@ def test_half_the_squared_row_of_a_t_prior_is_its_negative_log_density(
 
 def test_a_t_prior_of_many_degrees_of_freedom_is_normal() -> None:
     values = np.linspace(-3, 3, 13)
-    t, normal = StudentT(1e9, 0.4, 0.1).row(values), Normal(0.1, 0.4).row(values)
+    t, normal = row(StudentT(1e9, 0.4, 0.1), values), row(Normal(0.1, 0.4), values)
     np.testing.assert_allclose(t, normal, rtol=1e-6)
 
 
 # --- radial distortion -------------------------------------------------------------------------------------
 
 
-def radial_rows(prior: RadialPrior, values: Array) -> Array:
-    return prior.rows(values[:, 0], values[:, 1:])[0]
+def radial_rows(prior: RadialPrior, values: Array) -> tuple[Array, Array]:
+    """Rows (B, 2) and Jacobian (B, 2, 3) of the radial terms for ln(f / W), a1, a2."""
+    theta = np.zeros((len(values), 8))
+    theta[:, [0, 4, 5]] = values
+    r, J = Priors(radial=prior).rows(1)(theta)
+    assert (J[:, 4:6, [1, 2, 3, 6, 7]] == 0).all()
+    return r[:, 4:6], J[:, 4:6][:, :, [0, 4, 5]]
 
 
 def at_offset(prior: RadialPrior, log_focal: Array, w: Array) -> Array:
@@ -89,8 +100,8 @@ def test_jacobian_of_the_radial_rows_on_both_sides_of_the_clip_and_near_the_mean
     angle = np.linspace(0.1, 2 * np.pi, 7)
     w = size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     values = at_offset(prior, np.full(7, math.log(prior.reference) + x), w)
-    _, J = prior.rows(values[:, 0], values[:, 1:])
-    numeric = differences(lambda at: radial_rows(prior, at), values, 1e-6)
+    _, J = radial_rows(prior, values)
+    numeric = differences(lambda at: radial_rows(prior, at)[0], values, 1e-6)
     np.testing.assert_allclose(J, numeric, atol=3e-6 * np.abs(numeric).max())
     if abs(x) > 1:
         assert (J[..., 0] == 0).all(), "beyond the clip the focal length has no say"
@@ -104,7 +115,7 @@ def test_half_the_squared_radial_rows_are_the_negative_log_density(x: float, nu:
     log_focal = math.log(prior.reference) + x
     direction = np.array([[0.6, -0.8]])
     values = at_offset(prior, np.array([log_focal]), size * direction)
-    r = radial_rows(prior, values)
+    r, _ = radial_rows(prior, values)
     mean = np.array(prior.intercept) + np.clip(x, -1, 1) * np.array(prior.slope)
     density = multivariate_t(mean, prior.covariance, df=nu)
     expected = density.logpdf(mean) - density.logpdf(values[0, 1:])
@@ -121,8 +132,8 @@ def test_jacobian_of_all_priors(focal_px: tuple[float, float] | None) -> None:
     spread = np.array([0.4, 0.01, 0.05, 0.05, 0.2, 0.1, 0.005, 0.005])
     theta = rng.normal(size=(20, 8)) * spread
     theta[:, 0] += math.log(1000)
-    _, J = priors.rows(theta, 1280)
-    numeric = differences(lambda at: priors.rows(at, 1280)[0], theta, 1e-5 * spread)
+    _, J = priors.rows(1280)(theta)
+    numeric = differences(lambda at: priors.rows(1280)(at)[0], theta, 1e-5 * spread)
     assert_derivative(J, numeric, 3e-7)
 
 
@@ -134,7 +145,7 @@ def test_each_row_speaks_of_what_it_is_named_after(column: int) -> None:
     moved = theta.copy()
     moved[0, column] += 0.01
     changed = {
-        PRIOR_ROWS[i] for i in np.flatnonzero(Priors().rows(theta, 1280)[0] != Priors().rows(moved, 1280)[0])
+        PRIOR_ROWS[i] for i in np.flatnonzero(Priors().rows(1280)(theta)[0] != Priors().rows(1280)(moved)[0])
     }
     # A long lens is expected to distort less, so the focal length moves the radial rows as well.
     assert changed == {names[column]} | ({"radial distortion"} if column == 0 else set())
@@ -143,9 +154,9 @@ def test_each_row_speaks_of_what_it_is_named_after(column: int) -> None:
 def test_the_users_own_focal_length_replaces_the_prior() -> None:
     theta = np.zeros((3, 8))
     theta[:, 0] = np.log([1200.0, 1212.0, 1188.0])
-    r, _ = Priors(focal_px=(1200, 12)).rows(theta, 1280)
+    r, _ = Priors(focal_px=(1200, 12)).rows(1280)(theta)
     np.testing.assert_allclose(r[:, 0], [0, 1, -1], atol=0.01)
-    without, _ = Priors().rows(theta, 1280)
+    without, _ = Priors().rows(1280)(theta)
     np.testing.assert_array_equal(r[:, 1:], without[:, 1:])
     np.testing.assert_allclose(without[:, 0], (theta[:, 0] - math.log(1280) + 0.21) / 0.4)
 
@@ -155,7 +166,7 @@ def test_priors_can_be_replaced_one_by_one() -> None:
         if field.name in ("focal_px", "corner_sigma_px", "radial"):
             continue
         own = replace(Priors(), **{field.name: Normal(0.1, 0.2)})
-        differs = own.rows(np.zeros((1, 8)), 1280)[0] != Priors().rows(np.zeros((1, 8)), 1280)[0]
+        differs = own.rows(1280)(np.zeros((1, 8)))[0] != Priors().rows(1280)(np.zeros((1, 8)))[0]
         assert 1 <= differs.sum() <= 2, field.name
 
 
@@ -214,21 +225,3 @@ def test_far_away_the_constraint_is_finite_and_points_back() -> None:
     assert np.isfinite(J).all()
     assert (J[:, 0] > 0).all()
     np.testing.assert_array_equal(J[:, 1], -J[:, 0])
-
-
-# --- reprojection ------------------------------------------------------------------------------------------
-
-
-def test_reprojection_rows_are_weighted_differences() -> None:
-    rng = np.random.default_rng(2)
-    pixels, observed = rng.normal(size=(2, 3, 4, 2))
-    weights = rng.uniform(0, 2, (3, 4))
-    weights[1, 2] = 0
-    first, second = rng.normal(size=(3, 4, 2, 5)), rng.normal(size=(3, 4, 2, 6))
-    r, (by_first, by_second) = reprojection(pixels, observed, weights, first, second)
-    assert (r.shape, by_first.shape, by_second.shape) == ((3, 8), (3, 8, 5), (3, 8, 6))
-    for v, n, c in np.ndindex(3, 4, 2):
-        w = weights[v, n]
-        assert r[v, 2 * n + c] == w * (pixels - observed)[v, n, c]
-        np.testing.assert_array_equal(by_first[v, 2 * n + c], w * first[v, n, c])
-        np.testing.assert_array_equal(by_second[v, 2 * n + c], w * second[v, n, c])

@@ -8,7 +8,14 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from scenes import assert_derivative, differences
 
-from fewcal.distortion import distort, distort_jacobians, fold_radius, undistort
+from fewcal.distortion import (
+    distort,
+    distort_jacobians,
+    distort_scaled,
+    fold_radius,
+    surely_invertible,
+    undistort,
+)
 
 Array = NDArray[np.float64]
 
@@ -77,3 +84,42 @@ def test_distort_jacobians(distortion: Array) -> None:
     d_points, d_coefficients = distort_jacobians(xy, distortion)
     assert_derivative(d_points, differences(lambda at: distort(at, distortion), xy, 1e-6))
     assert_derivative(d_coefficients, differences(lambda at: distort(xy, at), distortion, 1e-6))
+
+
+def test_distort_scaled_is_distort_between_two_scales() -> None:
+    rng = np.random.default_rng(7)
+    points, coefficients = rng.uniform(-1, 1, (2, 3, 2, POINTS)), rng.normal(size=(2, 4)) * 0.1
+    before, after = rng.uniform(0.5, 2, (2, 2, 2))
+    distorted, by_points, by_coefficients = distort_scaled(points, coefficients, before, after)
+    for b, v in np.ndindex(2, 3):
+        scaled, k = points[b, v].T * before[b], np.append(coefficients[b], 0.0)
+        d_points, d_coefficients = distort_jacobians(scaled, k)
+        np.testing.assert_allclose(distorted[b, v].T, distort(scaled, k) * after[b], rtol=1e-12)
+        expected = d_points * before[b] * after[b][:, None]
+        np.testing.assert_allclose(
+            np.moveaxis(by_points[b, v], -1, 0), np.swapaxes(expected, 1, 2), atol=1e-12
+        )
+        expected = d_coefficients[..., :4] * after[b][:, None]
+        np.testing.assert_allclose(
+            np.moveaxis(by_coefficients[b, v], -1, 0), np.swapaxes(expected, 1, 2), atol=1e-12
+        )
+
+
+@given(
+    k=st.tuples(between(-0.6, 0.6), between(-0.4, 0.4), between(-0.2, 0.2)),
+    p=st.tuples(between(-0.02, 0.02), between(-0.02, 0.02)),
+    radius=between(0.1, 1.5),
+)
+def test_what_is_surely_invertible_is_inverted(
+    k: tuple[float, float, float], p: tuple[float, float], radius: float
+) -> None:
+    coefficients = np.array([k[0], k[1], *p, k[2]])
+    assume(surely_invertible(radius, coefficients))
+    angle = np.linspace(0, 2 * np.pi, 12)
+    circle = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    assert np.isfinite(undistort(circle, coefficients)).all()
+
+
+def test_ordinary_lenses_are_surely_invertible_and_folded_ones_are_not() -> None:
+    assert surely_invertible(0.8, np.array([-0.25, 0.08, 1e-3, -1e-3, 0.0]))
+    assert not surely_invertible(0.8, np.array([-0.4, 0.0, 0.0, 0.0, 0.0]))

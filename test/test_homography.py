@@ -22,30 +22,30 @@ Array = NDArray[np.float64]
 
 PINHOLE = Camera(1000.0, 1010.0, 600.0, 500.0)
 CENTRE = np.array(SIZE) / 2
-PLANE = BOARD.points[:, :2] - BOARD.points[:, :2].mean(axis=0)
-ONES = np.ones((2, len(PLANE)))
+PLANE = (BOARD.points[:, :2] - BOARD.points[:, :2].mean(axis=0)).T
+ONES = np.ones((2, PLANE.shape[1]))
 POSES = np.stack([pose(40, 20, camera=PINHOLE), pose(55, 200, 30, camera=PINHOLE)])
 
 
 def transform(H: Array, points: Array) -> Array:
-    """Map (..., N, 2) points by (..., 3, 3) homographies."""
-    mapped = points @ np.swapaxes(H[..., :2], -1, -2) + H[..., None, :, 2]
-    return mapped[..., :2] / mapped[..., 2:]
+    """Map (..., 2, N) points by (..., 3, 3) homographies."""
+    mapped = H[..., :2] @ points + H[..., 2:]
+    return mapped[..., :2, :] / mapped[..., 2:, :]
 
 
 def exact() -> tuple[Array, Array, Array]:
-    """Board points (2, N, 2), pixels (2, N, 2) and the homographies (2, 3, 3) between them."""
+    """Board points (2, 2, N), pixels (2, 2, N) and the homographies (2, 3, 3) between them."""
     about_centroid = np.eye(3)
     about_centroid[:2, 2] = BOARD.points[:, :2].mean(axis=0)
     H = PINHOLE.matrix @ POSES[:, :3][:, :, [0, 1, 3]] @ about_centroid
-    pixels = np.stack([PINHOLE.project(BOARD.points, T) for T in POSES])
+    pixels = np.stack([PINHOLE.project(BOARD.points, T).T for T in POSES])
     return np.stack([PLANE, PLANE]), pixels, H / H[:, 2:, 2:]
 
 
 def objective(H: Array, source: Array, target: Array, centre: Array) -> Array:
     """Eq 15 of the paper, for each view."""
-    squares = ((transform(H, source) - target) ** 2).sum(axis=-1)
-    radius = np.linalg.norm(target - centre, axis=-1)
+    squares = ((transform(H, source) - target) ** 2).sum(axis=-2)
+    radius = np.linalg.norm(target - centre[:, None], axis=-2)
     total: Array = (squares / (DISTANCE_OFFSET_PX + radius)).sum(axis=-1)
     return total
 
@@ -64,7 +64,7 @@ def test_an_exact_homography_is_found() -> None:
 def test_any_plane_in_front_is_found(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     square = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
-    source = np.concatenate([square, rng.uniform(-1, 1, (count - 4, 2))])[None]
+    source = np.concatenate([square, rng.uniform(-1, 1, (count - 4, 2))]).T[None]
     H = np.eye(3) + rng.uniform(-0.3, 0.3, (1, 3, 3))
     H = np.diag([500.0, 500.0, 1.0]) @ H
     found = homographies(source, transform(H, source), np.ones((1, count)))
@@ -74,7 +74,7 @@ def test_any_plane_in_front_is_found(seed: int, count: int) -> None:
 def test_points_of_weight_zero_are_left_out() -> None:
     source, target, H = exact()
     source, target, weights = source.copy(), target.copy(), ONES.copy()
-    source[1, 20:], target[1, 20:], weights[1, 20:] = 0.7, -123.0, 0.0
+    source[1, :, 20:], target[1, :, 20:], weights[1, 20:] = 0.7, -123.0, 0.0
     found = homographies(source, target, weights)
     for each in (found, refine_homographies(found, source, target, weights, CENTRE)):
         np.testing.assert_allclose(each / each[:, 2:, 2:], H, rtol=1e-8, atol=1e-8)
@@ -83,11 +83,11 @@ def test_points_of_weight_zero_are_left_out() -> None:
 def test_a_heavier_point_is_met_more_closely() -> None:
     source, target, _ = exact()
     target = target.copy()
-    target[:, 7] += 3.0
+    target[:, :, 7] += 3.0
     heavy = ONES.copy()
     heavy[:, 7] = 100.0
     error = [
-        np.linalg.norm(transform(homographies(source, target, w), source) - target, axis=-1)[:, 7]
+        np.linalg.norm(transform(homographies(source, target, w), source) - target, axis=-2)[:, 7]
         for w in (ONES, heavy)
     ]
     assert (error[1] < 0.01 * error[0]).all()
@@ -98,7 +98,7 @@ def test_a_heavier_point_is_met_more_closely() -> None:
 
 def test_refinement_lowers_the_objective_of_eq_15_to_a_minimum() -> None:
     views = stack_views(views_at((40, 20), (55, 200)))
-    source, target, weights = views.plane_points, views.pixels, views.weights
+    source, target, weights = views.points, views.pixels, views.weights
     start = homographies(source, target, weights)
     refined = refine_homographies(start, source, target, weights, CENTRE)
     before, after = (objective(H, source, target, CENTRE) for H in (start, refined))
@@ -112,7 +112,7 @@ def test_refinement_lowers_the_objective_of_eq_15_to_a_minimum() -> None:
 
 def test_refinement_takes_a_principal_point_for_each_view() -> None:
     views = stack_views(views_at((40, 20), (55, 200)))
-    arguments = views.plane_points, views.pixels, views.weights
+    arguments = views.points, views.pixels, views.weights
     start = homographies(*arguments)
     centres = np.array([[500.0, 300.0], [700.0, 600.0]])
     both = refine_homographies(start, *arguments, centres)
@@ -124,29 +124,29 @@ def test_refinement_takes_a_principal_point_for_each_view() -> None:
 
 def test_jacobian_of_the_refinement() -> None:
     rng = np.random.default_rng(3)
-    source, target = rng.uniform(-1, 1, (2, 2, 6, 2))
+    source, target = rng.uniform(-1, 1, (2, 2, 2, 6))
     scale = rng.uniform(0, 2, (2, 6))
     h = np.eye(3).ravel()[:8] + rng.uniform(-0.3, 0.3, (2, 8))
     problem = _HomographyProblem(source, target, scale)
 
     def rows(at: Array) -> Array:
         H = np.concatenate([at, np.ones((2, 1))], axis=1).reshape(2, 3, 3)
-        return ((transform(H, source) - target) * scale[..., None]).reshape(2, -1)
+        return ((transform(H, source) - target) * scale[:, None]).reshape(2, -1)
 
     J, r = differences(rows, h, 1e-6), rows(h)
     found = problem.linearise(_Entries(h))
-    np.testing.assert_allclose(found.cost, 0.5 * (r**2).sum(axis=1), rtol=1e-12)
-    assert_derivative(found.g_shared, (np.swapaxes(J, 1, 2) @ r[..., None])[..., 0])
-    assert_derivative(found.H_shared, np.swapaxes(J, 1, 2) @ J)
+    np.testing.assert_allclose(found.squares, (r**2).sum(axis=1), rtol=1e-12)
+    columns = np.concatenate([J, r[..., None]], axis=2)
+    assert_derivative(found.groups[:, 0], np.swapaxes(columns, 1, 2) @ columns)
 
 
 def test_a_homography_with_a_point_behind_is_not_allowed() -> None:
-    source = np.array([[[-1.0, 0], [1, 0], [0, 1], [0, -1]]])
+    source = np.array([[[-1.0, 1, 0, 0], [0, 0, 1, -1]]])
     h = np.array([[1.0, 0, 0, 0, 1, 0, 1.5, 0]])
     problem = _HomographyProblem(source, source, np.ones((1, 4)))
-    assert problem.linearise(_Entries(h)).cost == np.inf
+    assert np.isnan(problem.linearise(_Entries(h)).squares).all()
     left_out = _HomographyProblem(source, source, np.array([[0.0, 1, 1, 1]]))
-    assert np.isfinite(left_out.linearise(_Entries(h)).cost).all()
+    assert np.isfinite(left_out.linearise(_Entries(h)).squares).all()
 
 
 # --- views without a homography ----------------------------------------------------------------------------
@@ -163,7 +163,7 @@ def test_fewer_than_four_points() -> None:
 @pytest.mark.parametrize("angle", [0.0, 0.7])
 def test_collinear_points(angle: float) -> None:
     source, target, _ = exact()
-    line = np.linspace(-1, 1, len(PLANE))[:, None] * [np.cos(angle), np.sin(angle)]
+    line = np.linspace(-1, 1, PLANE.shape[1]) * np.array([[np.cos(angle)], [np.sin(angle)]])
     for broken in ((np.stack([PLANE, line]), target), (source, np.stack([target[0], 600 + 300 * line]))):
         with pytest.raises(DegenerateViews, match="collinear"):
             homographies(*broken, ONES)
@@ -173,4 +173,4 @@ def test_a_board_seen_edge_on_is_collinear() -> None:
     # The board's plane runs through the camera's centre.
     edge_on = PINHOLE.project(BOARD.points, pose(90, 0, shift_px=(0, 20.5), camera=PINHOLE))
     with pytest.raises(DegenerateViews, match="not edge-on"):
-        homographies(PLANE[None], edge_on[None], ONES[:1])
+        homographies(PLANE[None], edge_on.T[None], ONES[:1])

@@ -16,12 +16,24 @@ FREE = ScaleFree((1280, 960))
 RNG = np.random.default_rng(4)
 SPREAD = np.array([0.3, 0.01, 0.02, 0.02, 0.1, 0.05, 0.002, 0.002])
 THETA = RNG.normal(size=(2, 8)) * SPREAD + [np.log(1100), 0, 0, 0, -0.05, 0.01, 0, 0]
-POINTS = RNG.uniform([-0.4, -0.3, 0.8], [0.4, 0.3, 1.5], (2, 3, 5, 3))
+RAYS = RNG.uniform(-0.4, 0.4, (2, 3, 2, 5))
 IN_PIXELS = np.array([1, 1, 1, 1, 1, 1e-7, 1e-13, 1e-5, 1e-5])
 PAPER = RNG.uniform(-1, 1, (2, 9)) * IN_PIXELS * [50, 50, 20, 20, 5, 1, 1, 1, 1] + [
     *(1100.0, 1120.0, 640.0, 480.0),
     *np.zeros(5),
 ]
+
+
+def projected(model: Parametrisation, rays: Array, theta: Array) -> tuple[Array, Array, Array]:
+    """Pixels, and their derivatives by the rays and by the unknowns."""
+    by_theta = np.full((*rays.shape[:2], model.size, *rays.shape[2:]), np.nan)
+    pixels, by_rays = model.project(rays, theta, by_theta)
+    return pixels, by_rays, by_theta
+
+
+def points(rays: Array) -> Array:
+    """(N, 3) on the rays (2, N)."""
+    return np.column_stack([rays.T, np.ones(rays.shape[1])])
 
 
 @given(
@@ -65,7 +77,7 @@ def test_natural_jacobian() -> None:
 
 
 @pytest.mark.parametrize(
-    ("model", "theta", "step"),
+    ("model", "theta", "steps"),
     [
         (FREE, THETA, 1e-4 * SPREAD),
         (FREE._replace(in_pixels=True), THETA, 1e-4 * SPREAD),
@@ -73,39 +85,42 @@ def test_natural_jacobian() -> None:
         (PixelModel(tangential=False), PAPER[:, :7], 1e-2 * IN_PIXELS[:7]),
     ],
 )
-def test_jacobians_of_the_projection(model: Parametrisation, theta: Array, step: Array) -> None:
-    pixels, d_points, d_theta = model.project(POINTS, theta)
-    assert pixels.shape == (2, 3, 5, 2)
-    assert d_theta.shape == (2, 3, 5, 2, model.size)
-    assert_derivative(d_points, differences(lambda at: model.project(at, theta)[0], POINTS, 1e-6))
-
-    def by_theta(at: Array) -> Array:
-        return model.project(POINTS, at)[0]
-
-    assert_derivative(d_theta, differences(by_theta, theta, step))
+def test_jacobians_of_the_projection(model: Parametrisation, theta: Array, steps: Array) -> None:
+    pixels, by_rays, by_theta = projected(model, RAYS, theta)
+    assert pixels.shape == RAYS.shape
+    for axis in range(2):
+        step = np.zeros((2, 1))
+        step[axis] = 1e-6
+        ahead, back = (projected(model, RAYS + side * step, theta)[0] for side in (1, -1))
+        assert_derivative(by_rays[:, :, axis], (ahead - back) / 2e-6)
+    numeric = differences(lambda at: projected(model, RAYS, at)[0], theta, steps)
+    assert_derivative(np.moveaxis(by_theta, 2, -1), numeric)
 
 
 def test_scale_free_projection_is_that_of_the_camera() -> None:
-    pixels = FREE.project(POINTS, THETA)[0]
+    pixels = projected(FREE, RAYS, THETA)[0]
     for b, values in enumerate(FREE.natural(THETA)):
         camera = Camera(*values[:4], np.append(values[4:], 0.0))
-        np.testing.assert_allclose(pixels[b], camera.project(POINTS[b]), rtol=1e-12)
+        for v in range(3):
+            np.testing.assert_allclose(pixels[b, v].T, camera.project(points(RAYS[b, v])), rtol=1e-12)
 
 
 def test_scale_free_projection_in_pixels_is_that_of_the_paper() -> None:
     model = FREE._replace(in_pixels=True)
     pixels, natural, coefficients = (
-        model.project(POINTS, THETA)[0],
+        projected(model, RAYS, THETA)[0],
         model.natural(THETA),
         model.pixel_coefficients(THETA),
     )
     for b in range(2):
         intrinsics = np.append(natural[b, :4], 0.0)
-        expected = project_pixel_model_jacobians(POINTS[b], intrinsics, coefficients[b]).pixels
-        np.testing.assert_allclose(pixels[b], expected, rtol=1e-12)
+        expected = project_pixel_model_jacobians(points(RAYS[b, 0]), intrinsics, coefficients[b]).pixels
+        np.testing.assert_allclose(pixels[b, 0].T, expected, rtol=1e-12)
     # For square pixels the two models are one.
     square = THETA * [1, 0, 1, 1, 1, 1, 1, 1]
-    np.testing.assert_allclose(model.project(POINTS, square)[0], FREE.project(POINTS, square)[0], rtol=1e-12)
+    np.testing.assert_allclose(
+        projected(model, RAYS, square)[0], projected(FREE, RAYS, square)[0], rtol=1e-12
+    )
 
 
 def test_the_pixel_model_is_the_papers_with_and_without_k3_and_k4() -> None:
@@ -113,5 +128,6 @@ def test_the_pixel_model_is_the_papers_with_and_without_k3_and_k4() -> None:
     assert (both.size, radial.size) == (9, 7)
     np.testing.assert_array_equal(both.coefficients(PAPER), PAPER[:, 5:])
     np.testing.assert_array_equal(radial.coefficients(PAPER[:, :7]), PAPER[:, 5:] * [1, 1, 0, 0])
-    expected = project_pixel_model_jacobians(POINTS[1], PAPER[1, :5], PAPER[1, 5:] * [1, 1, 0, 0]).pixels
-    np.testing.assert_allclose(radial.project(POINTS, PAPER[:, :7])[0][1], expected, rtol=1e-12)
+    for model, theta, kept in ((both, PAPER, [1, 1, 1, 1]), (radial, PAPER[:, :7], [1, 1, 0, 0])):
+        expected = project_pixel_model_jacobians(points(RAYS[1, 0]), PAPER[1, :5], PAPER[1, 5:] * kept).pixels
+        np.testing.assert_allclose(projected(model, RAYS, theta)[0][1, 0].T, expected, rtol=1e-12)

@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 
 NORMALISED = Camera(1.0, 1.0, 0.0, 0.0)
 CAMERA = Camera(1000.0, 1000.0, 640.0, 480.0)
-PLANE = BOARD.points[:, :2] - BOARD.points[:, :2].mean(axis=0)
-WEIGHTS = np.ones(len(PLANE))
+PLANE = (BOARD.points[:, :2] - BOARD.points[:, :2].mean(axis=0)).T
+WEIGHTS = np.ones(PLANE.shape[1])
 
 
 def seen(*T: Array) -> tuple[Array, Array, Array, Array]:
@@ -24,7 +24,7 @@ def seen(*T: Array) -> tuple[Array, Array, Array, Array]:
     stacked = np.stack(T)
     R = stacked[:, :3, :3]
     position = stacked[:, :3, 3] + R @ BOARD.points.mean(axis=0)
-    rays = np.stack([NORMALISED.project(BOARD.points, each) for each in T])
+    rays = np.stack([NORMALISED.project(BOARD.points, each).T for each in T])
     plane, weights = np.stack([PLANE] * len(T)), np.stack([WEIGHTS] * len(T))
     H = homographies(plane, rays, weights)
     return R, position, *planar_poses(H, plane, rays, weights)
@@ -32,9 +32,9 @@ def seen(*T: Array) -> tuple[Array, Array, Array, Array]:
 
 def errors(R: Array, t: Array, T: Array) -> Array:
     """Root mean square reprojection error of both poses, normalised coordinates."""
-    X = PLANE @ np.swapaxes(R[..., :2], -1, -2) + t[..., None, :]
-    offset = X[..., :2] / X[..., 2:] - NORMALISED.project(BOARD.points, T)
-    error: Array = np.sqrt((offset**2).sum(axis=-1).mean(axis=-1))
+    X = R[..., :2] @ PLANE + t[..., None]
+    offset = X[..., :2, :] / X[..., 2:, :] - NORMALISED.project(BOARD.points, T).T
+    error: Array = np.sqrt((offset**2).sum(axis=-2).mean(axis=-1))
     return error
 
 
@@ -93,11 +93,11 @@ def test_every_view_is_ordered_by_its_own_error_and_equals_itself_alone() -> Non
 
 def test_points_of_weight_zero_are_left_out() -> None:
     T = pose(40, 20, camera=CAMERA)
-    rays = NORMALISED.project(BOARD.points, T)
-    used = np.arange(len(PLANE)) < 30
-    plane, rays = np.where(used[:, None], PLANE, 9.0), np.where(used[:, None], rays, -5.0)
+    exact = NORMALISED.project(BOARD.points, T).T
+    used = np.arange(PLANE.shape[1]) < 30
+    plane, rays = np.where(used, PLANE, 9.0), np.where(used, exact, -5.0)
     weights = used.astype(float)
-    H = homographies(PLANE[None], NORMALISED.project(BOARD.points, T)[None], WEIGHTS[None])
+    H = homographies(PLANE[None], exact[None], WEIGHTS[None])
     R, t = planar_poses(H, plane[None], rays[None], weights[None])
     np.testing.assert_allclose(R[0, 0], T[:3, :3], atol=1e-8)
     np.testing.assert_allclose(t[0, 0], T[:3, 3] + T[:3, :3] @ BOARD.points.mean(axis=0), atol=1e-8)
@@ -105,7 +105,7 @@ def test_points_of_weight_zero_are_left_out() -> None:
 
 def test_leading_axes_for_several_cameras() -> None:
     T = np.stack([pose(40, 20, camera=CAMERA), pose(30, 140, camera=CAMERA)])
-    rays = np.stack([NORMALISED.project(BOARD.points, each) for each in T])
+    rays = np.stack([NORMALISED.project(BOARD.points, each).T for each in T])
     plane, weights = np.stack([PLANE] * 2), np.stack([WEIGHTS] * 2)
     H = homographies(plane, rays, weights)
     f = np.array([1.0, 1.7])[:, None, None, None]

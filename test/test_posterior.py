@@ -27,22 +27,22 @@ def random_rows(seed: int, views: int = 3, points: int = 12, size: int = 8, prio
     rng = np.random.default_rng(seed)
     units, pose_units = 10.0 ** rng.uniform(-3, 3, size), 10.0 ** rng.uniform(-3, 3, 6)
     return Rows(
-        rng.normal(size=(1, views, 2 * points)),
-        rng.normal(size=(1, views, 2 * points, size)) * units,
-        rng.normal(size=(1, views, 2 * points, 6)) * pose_units,
-        rng.normal(size=(1, priors)),
-        rng.normal(size=(1, priors, size)) * units,
+        rng.normal(size=(views, 2 * points)),
+        rng.normal(size=(views, 2 * points, size)) * units,
+        rng.normal(size=(views, 2 * points, 6)) * pose_units,
+        rng.normal(size=priors),
+        rng.normal(size=(priors, size)) * units,
     )
 
 
 def dense(rows: Rows) -> Array:
     """Jacobian of everything: the camera's unknowns first, then six for each view."""
-    _, views, count, size = rows.by_camera.shape
-    J = np.zeros((views * count + rows.prior.shape[1], size + 6 * views))
+    views, count, size = rows.by_camera.shape
+    J = np.zeros((views * count + len(rows.prior), size + 6 * views))
     for v in range(views):
-        J[v * count : (v + 1) * count, :size] = rows.by_camera[0, v]
-        J[v * count : (v + 1) * count, size + 6 * v : size + 6 * (v + 1)] = rows.by_pose[0, v]
-    J[views * count :, :size] = rows.prior_by_camera[0]
+        J[v * count : (v + 1) * count, :size] = rows.by_camera[v]
+        J[v * count : (v + 1) * count, size + 6 * v : size + 6 * (v + 1)] = rows.by_pose[v]
+    J[views * count :, :size] = rows.prior_by_camera
     return J
 
 
@@ -98,7 +98,7 @@ def test_camera_rows_hold_the_schur_complement_of_each_view(seed: int) -> None:
     reduced = camera_rows(rows)
     assert reduced.shape == (3, 8, 8)
     for v in range(3):
-        A, P = rows.by_camera[0, v], rows.by_pose[0, v]
+        A, P = rows.by_camera[v], rows.by_pose[v]
         expected = A.T @ A - A.T @ P @ inverse(P.T @ P) @ P.T @ A
         assert_alike(reduced[v].T @ reduced[v], expected)
 
@@ -114,7 +114,7 @@ def test_prior_covariance_is_that_of_the_priors_alone_when_they_hold_everything(
     rows = random_rows(6)
     prior = posterior(rows).prior_covariance
     assert prior is not None
-    K = rows.prior_by_camera[0]
+    K = rows.prior_by_camera
     assert_alike(prior, inverse(K.T @ K), 1e-6)
     assert posterior(random_rows(6, priors=3)).prior_covariance is None
 

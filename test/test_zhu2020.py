@@ -45,7 +45,7 @@ def test_the_papers_method_is_exact_for_square_pixels(tilts: tuple[tuple[float, 
     np.testing.assert_allclose(coefficients, expected, rtol=1e-6)
     for i, tilt in enumerate(tilts):
         np.testing.assert_allclose(found.geometry.rotation[0, i], pose(*tilt)[:3, :3], atol=1e-8)
-    assert found.stop in (Stop.GRADIENT, Stop.STEP, Stop.COST)
+    assert found.stop != Stop.ITERATIONS
 
 
 def test_the_papers_method_needs_the_principal_point_in_one_view() -> None:
@@ -56,8 +56,8 @@ def test_the_papers_method_needs_the_principal_point_in_one_view() -> None:
 
 def test_refinement_removes_what_distortion_does_to_the_closed_form() -> None:
     views = stack_views(views_at(*TWO, camera=SQUARE))
-    H = homographies(views.plane_points, views.pixels, views.weights)
-    H = refine_homographies(H, views.plane_points, views.pixels, views.weights, np.array(SIZE) / 2)
+    H = homographies(views.points, views.pixels, views.weights)
+    H = refine_homographies(H, views.points, views.pixels, views.weights, np.array(SIZE) / 2)
     f = np.sqrt(simplified_intrinsics(H, np.array(SIZE) / 2)[0])
     assert abs(f - 1100) > 1
     assert estimate_zhu2020(views, SIZE).geometry.theta[0, 0] == pytest.approx(1100, rel=1e-9)
@@ -66,7 +66,7 @@ def test_refinement_removes_what_distortion_does_to_the_closed_form() -> None:
 def test_weighted_homographies_find_a_focal_length_where_unweighted_ones_do_not() -> None:
     centred = Camera(1100.0, 1100.0, SIZE[0] / 2, SIZE[1] / 2, [-0.12, 0.03, 0.0, 0.0, 0.0])
     views = stack_views(views_at((10, 90), camera=centred, span=0.8))
-    unweighted = homographies(views.plane_points, views.pixels, views.weights)
+    unweighted = homographies(views.points, views.pixels, views.weights)
     assert simplified_intrinsics(unweighted, np.array(SIZE) / 2)[0] < 0
     estimate_zhu2020(views, SIZE)
 
@@ -89,9 +89,10 @@ def test_boards_in_other_planes_have_poses_in_their_own_axes() -> None:
     views = views_at(*THREE, camera=RADIAL)
     lifted = [View(v.object_points @ turn.T + [1, 2, 3], v.image_points) for v in views]
     for estimate in (lambda v: estimate_zhu2020(v, SIZE), estimate_zhang):
-        found = estimate(stack_views(lifted))
+        stack = stack_views(lifted)
+        rotation = estimate(stack).geometry.rotation[0] @ np.swapaxes(stack.plane, -1, -2)
         for i, tilt in enumerate(THREE):
-            np.testing.assert_allclose(found.geometry.rotation[0, i] @ turn, pose(*tilt)[:3, :3], atol=1e-7)
+            np.testing.assert_allclose(rotation[i] @ turn, pose(*tilt)[:3, :3], atol=1e-7)
 
 
 SQUARE_TARGET = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
@@ -108,7 +109,7 @@ SQUARE_TARGET = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
         ),
         ([[122, 649], [473, 279], [437, 801], [841, 322]], DegenerateViews, "puts a board behind the camera"),
         (
-            [[99, 267], [460, 447], [219, 743], [390, 761]],
+            [[777, 499], [781, 557], [643, 403], [613, 572]],
             DegenerateViews,
             "focal length that is not positive",
         ),

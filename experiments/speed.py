@@ -1,0 +1,166 @@
+"""Time calibrate() side by side with others on the same corners, and print a markdown table.
+
+    python experiments/speed.py [--rounds 20] [--trials 27]
+
+Each round calls everybody once, in turn, on the same views of 54 points; the ratio is that of a round, and
+its median is printed. cv2.calibrateCamera runs with default flags. scipy.optimize.least_squares minimises the
+same residuals from the answer of calibrate() with the focal length moved by 2 %: one minimisation, without
+homographies, starts, error bars or verdict. Then the time that an import takes on top of numpy and OpenCV,
+and the paper's trials a second, each method on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+# The matrices are small; threads would only compete.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+import fewcal
+from fewcal.adjustment import Adjustment, Geometry, rotation_from_vector
+from fewcal.parametrisation import ScaleFree
+from fewcal.views import stack_views
+from fewcal.virtual_camera import PAPER_CAMERA, paper_trials
+
+Array = NDArray[np.float64]
+
+SIZE = (1280, 960)
+CAMERA = fewcal.Camera(1100.0, 1103.0, 650.0, 470.0, [-0.12, 0.03, 0.0006, -0.0004, 0.0])
+BOARD = fewcal.Chessboard(9, 6, 0.025)
+NOISE_PX = 0.2
+COUNTS = (1, 2, 5, 10, 20)
+METHODS = ("map", "zhu2020", "zhang")
+CASES = (("one view", 1, False), ("two views", 2, False), ("two views, quantised", 2, True))
+
+
+def scene(count: int) -> list[fewcal.View]:
+    """Views of 54 corners tilted by 15 to 45 deg about axes all around, with noise."""
+    rng = np.random.default_rng(count)
+    views = []
+    for i in range(count):
+        about = np.radians(20 + 67 * i)
+        tilt = np.radians(30 + 15 * np.sin(i)) * np.array([np.cos(about), np.sin(about), 0])
+        T = np.eye(4)
+        T[:3, :3] = rotation_from_vector(tilt)
+        T[:3, 3] = [0, 0, 0.32] - T[:3, :3] @ BOARD.points.mean(axis=0)
+        pixels = CAMERA.project(BOARD.points, T)
+        views.append(fewcal.View(BOARD.points, pixels + rng.normal(0, NOISE_PX, pixels.shape)))
+    return views
+
+
+def run_opencv(views: list[fewcal.View]) -> Callable[[], object]:
+    """cv2.calibrateCamera with default flags."""
+    objects = [view.object_points.astype(np.float32) for view in views]
+    images = [view.image_points.astype(np.float32)[:, None] for view in views]
+    # Typed as if the camera matrix were required, which it is not.
+    return lambda: cv2.calibrateCamera(objects, images, SIZE, None, None)  # type: ignore[call-overload]
+
+
+def run_scipy(views: list[fewcal.View]) -> Callable[[], object]:
+    """scipy.optimize.least_squares on the same rows and Jacobians, the noise given."""
+    answer = fewcal.calibrate(views, SIZE)
+    stack, model = stack_views(views), ScaleFree(SIZE)
+    poses = np.stack(answer.board_poses)
+    rotation = poses[:, :3, :3]
+    position = poses[:, :3, 3] + (rotation @ stack.centroid[..., None])[..., 0]
+    natural = np.concatenate([answer.camera.intrinsics, answer.camera.distortion[:4]])
+    problem = Adjustment(stack, model, fewcal.Priors().rows(max(SIZE)))
+    at = Geometry(model.theta(natural)[None], (rotation @ stack.plane)[None], position[None])
+    count = len(views)
+
+    def rows(x: Array) -> tuple[Array, Array]:
+        found = problem.rows(problem.retract(at, x[None, :8], x[8:].reshape(1, count, 6)), answer.sigma_px)
+        J = np.zeros((found.r.size + 8, len(x)))
+        for v, (by_camera, by_pose) in enumerate(zip(found.by_camera, found.by_pose, strict=True)):
+            part = slice(v * len(by_camera), (v + 1) * len(by_camera))
+            J[part, :8], J[part, 8 + 6 * v : 14 + 6 * v] = by_camera, by_pose
+        J[-8:, :8] = found.prior_by_camera
+        return np.concatenate([found.r.ravel(), found.prior]), J
+
+    start = np.zeros(8 + 6 * count)
+    start[0] = 0.02
+    return lambda: least_squares(lambda x: rows(x)[0], start, lambda x: rows(x)[1], x_scale="jac")
+
+
+def timed(call: Callable[[], object]) -> float:
+    """Seconds that a call takes."""
+    start = time.perf_counter()
+    call()
+    return time.perf_counter() - start
+
+
+def race(count: int, rounds: int) -> str:
+    """One row of the table: medians of times, and of the ratios of calibrate() to the others."""
+    views = scene(count)
+    calls = [lambda: fewcal.calibrate(views, SIZE), run_opencv(views), run_scipy(views)]
+    for call in calls:
+        call()
+    seconds = np.array([[timed(call) for call in calls] for _ in range(rounds)])
+    cells = [f"{count}", f"{1e3 * np.median(seconds[:, 0]):.2f}"]
+    cells += [f"{1e3 * np.median(t):.2f} ({np.median(seconds[:, 0] / t):.2f})" for t in seconds[:, 1:].T]
+    return "| " + " | ".join(cells) + " |"
+
+
+def import_seconds(code: str) -> float:
+    """Median time of a new interpreter that runs some imports."""
+    return float(
+        np.median([timed(lambda: subprocess.run([sys.executable, "-c", code], check=True)) for _ in range(7)])
+    )
+
+
+def paper_views(count: int, quantised: bool, every: int) -> list[tuple[fewcal.View, ...]]:
+    """Every n-th of the paper's trials."""
+    trials = [trial.views for trial in itertools.islice(paper_trials(count), 0, None, every)]
+    if not quantised:
+        return trials
+    return [tuple(fewcal.View(v.object_points, np.round(v.image_points)) for v in views) for views in trials]
+
+
+def trials_a_second(method: str, trials: list[tuple[fewcal.View, ...]]) -> str:
+    """Trials of the paper a second, on one core; the views were made beforehand."""
+
+    def attempt(views: tuple[fewcal.View, ...]) -> None:
+        with contextlib.suppress(fewcal.FewcalError):
+            fewcal.calibrate(views, PAPER_CAMERA.image_size, method=method)
+
+    return f"{len(trials) / timed(lambda: [attempt(views) for views in trials]):.0f}"
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=20, help="rounds of calls (default 20)")
+    parser.add_argument(
+        "--trials", type=int, default=27, help="every n-th of the paper's trials (default 27)"
+    )
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    print("Milliseconds, and in brackets the median ratio of calibrate() to it:\n")
+    print("| views | calibrate() | cv2.calibrateCamera | scipy least_squares |\n|---|---|---|---|")
+    for count in COUNTS:
+        print(race(count, options.rounds), flush=True)
+    basis = import_seconds("import numpy, cv2")
+    print(
+        f"\nimport fewcal, on top of numpy and OpenCV: {import_seconds('import cv2, fewcal') - basis:.2f} s\n"
+    )
+    print("| trials a second | map | zhu2020 | zhang |\n|---|---|---|---|")
+    for name, count, quantised in CASES:
+        trials = paper_views(count, quantised, options.trials)
+        cells = [trials_a_second(method, trials) for method in METHODS]
+        print("| " + " | ".join([name, *cells]) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -133,11 +133,13 @@ def main() -> None:
     with ProcessPoolExecutor(options.processes) as pool:
         draws = list(pool.map(run, jobs, chunksize=8))
         report(draws, [field for field in options.by.split(",") if field])
-        degeneracies(options.trials if options.arrangements is None else options.arrangements, pool)
-    if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        save(draws, options.out)
-        plot(draws, options.out)
+        if options.out:
+            options.out.mkdir(parents=True, exist_ok=True)
+            save(draws, options.out)
+            plot(draws, options.out)
+        count = options.trials if options.arrangements is None else options.arrangements
+        if count:
+            degeneracies(count, pool)
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ from arrangements import ARRANGEMENTS, named, reasons_for
 from error_bars import QUANTITIES, TILTS_DEG, compare, fixed_score, prior_focal_std, run, turned_score
 from real_cameras import turned_errors
 from synthetic import (
-    BEND,
     ERRORS,
+    LARGE_BEND,
     absorbed_part,
     assumed,
     draw_camera,
@@ -100,7 +100,7 @@ def test_a_bend_moves_tilted_boards_more() -> None:
     def size(tilt: int) -> float:
         scenes = [draw_scene(np.random.default_rng(seed), tilt, 1, "near") for seed in range(20)]
         moved = [
-            real(s, np.random.default_rng(1), bend=10 * BEND)[0].image_points - s.pixels(s.board.points)
+            real(s, np.random.default_rng(1), bend=LARGE_BEND)[0].image_points - s.pixels(s.board.points)
             for s in scenes
         ]
         return float(np.median([np.std(error) for error in moved]))

@@ -19,7 +19,7 @@ NAMES = {
     "Board too small": "too small",
 }
 """What the verdict's sentences begin with; no such sentence means a sound arrangement."""
-NEAR, SMALL = SPANS["near"], (0.05, 0.10)
+USUAL, SMALL = (SPANS["far"][0], SPANS["near"][1]), (0.06, 0.13)
 """Diagonal of the board seen face on, over the diagonal of the image."""
 DEGENERATE_DEG = 3.0
 """Angle up to which degenerate arrangements deviate from the exact one."""
@@ -27,20 +27,20 @@ DEGENERATE_DEG = 3.0
 
 def fronto_parallel(rng: np.random.Generator) -> tuple[list[Array], tuple[float, float]]:
     """Up to three boards parallel to the image, but for 3 degrees."""
-    return [_turn(rng, 0, DEGENERATE_DEG) for _ in range(rng.integers(1, 4))], NEAR
+    return [_turn(rng, 0, DEGENERATE_DEG) for _ in range(rng.integers(1, 4))], USUAL
 
 
 def parallel(rng: np.random.Generator) -> tuple[list[Array], tuple[float, float]]:
     """One tilted board moved without turning, but for 3 degrees between any two."""
     first = _turn(rng, 15, 60)
-    return [first] + [_wobble(rng) @ first for _ in range(rng.integers(1, 3))], NEAR
+    return [first] + [_wobble(rng) @ first for _ in range(rng.integers(1, 3))], USUAL
 
 
 def turned(rng: np.random.Generator) -> tuple[list[Array], tuple[float, float]]:
     """One tilted board turned in its own plane."""
     first = _turn(rng, 15, 60)
     rolls = rng.uniform(15, 165, rng.integers(1, 3)) * rng.choice([-1, 1])
-    return [first] + [_wobble(rng) @ first @ rotation(0, 0, roll) for roll in rolls], NEAR
+    return [first] + [_wobble(rng) @ first @ rotation(0, 0, roll) for roll in rolls], USUAL
 
 
 def small(rng: np.random.Generator) -> tuple[list[Array], tuple[float, float]]:
@@ -49,8 +49,8 @@ def small(rng: np.random.Generator) -> tuple[list[Array], tuple[float, float]]:
 
 
 def sound(rng: np.random.Generator) -> tuple[list[Array], tuple[float, float]]:
-    """One to three near boards tilted about different axes."""
-    return _tilted(rng, int(rng.integers(1, 4))), NEAR
+    """One to three boards tilted about different axes."""
+    return _tilted(rng, int(rng.integers(1, 4))), USUAL
 
 
 ARRANGEMENTS: dict[str, Callable[[np.random.Generator], tuple[list[Array], tuple[float, float]]]] = {

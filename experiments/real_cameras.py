@@ -85,18 +85,23 @@ METHODS: dict[str, Method] = {
 }
 
 
-def projection_error(camera: fewcal.Camera, truth: fewcal.Camera, size: tuple[int, int]) -> float:
-    """RMS distance of projected directions after the best rotation, thousandths of the image diagonal."""
+def turned_errors(camera: fewcal.Camera, truth: fewcal.Camera, size: tuple[int, int]) -> tuple[Array, Array]:
+    """Errors of projected directions after the best rotation, on a grid over the image.
+
+    Returns
+    -------
+    rays : (N, 3) directions that the true camera sees at the grid's pixels, turned into the other camera
+    errors : (N, 2) pixels; NaN where the other camera sees nothing. Empty when it sees hardly any.
+    """
     axes = [np.linspace(0, length - 1, GRID) for length in size]
     pixels = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     rays = truth.unproject(pixels, folded="nan")
     pixels, rays = pixels[np.isfinite(rays[:, 0])], rays[np.isfinite(rays[:, 0])]
-    diagonal = float(np.hypot(*size))
     # Rays that the camera sees at those pixels give a first rotation; Gauss-Newton in the image the best one.
     own = camera.unproject(pixels, folded="nan")
     good = np.isfinite(own[:, 0])
     if good.sum() < len(pixels) // 4:
-        return np.inf
+        return np.empty((0, 3)), np.empty((0, 2))
     u, _, vt = np.linalg.svd(own[good].T @ rays[good])
     R = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
     for _ in range(10):
@@ -110,7 +115,15 @@ def projection_error(camera: fewcal.Camera, truth: fewcal.Camera, size: tuple[in
         seen = np.isfinite(target) & np.isfinite(J).all(axis=1)
         step = np.linalg.lstsq(J[seen], target[seen], rcond=None)[0]
         R = rotation_from_vector(step) @ R
-    error = camera.project(rays @ R.T) - pixels
+    return rays @ R.T, camera.project(rays @ R.T) - pixels
+
+
+def projection_error(camera: fewcal.Camera, truth: fewcal.Camera, size: tuple[int, int]) -> float:
+    """RMS distance of projected directions after the best rotation, thousandths of the image diagonal."""
+    error = turned_errors(camera, truth, size)[1]
+    if not len(error):
+        return np.inf
+    diagonal = float(np.hypot(*size))
     # A direction that does not project counts as one that is off by the whole diagonal.
     squares = np.nan_to_num((error**2).sum(axis=1), nan=np.inf).clip(max=diagonal**2)
     return 1e3 * float(np.sqrt(squares.mean())) / diagonal

@@ -48,7 +48,7 @@ _CONVERGED_PX = 3e-3
 """Steps of the location below this are far below its sd."""
 _PARAMETERS = 10
 _Pixel = np.float32
-"""Of grey levels and what they are compared with: half the memory, and 24 bits are more than any camera has."""
+"""Of grey levels and what they are compared with: half the memory, and 24 bits are more than cameras have."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ from fewcal.adjustment import rotation_from_vector
 from fewcal.boards import Chessboard
 from fewcal.constraints import Priors, StudentT
 from fewcal.distortion import fold_radius
-from fewcal.map_estimator import ABSORBED, CORRELATION, MODEL_ERROR_PX
+from fewcal.noise import ABSORBED, CORRELATION, MODEL_ERROR_PX
 from fewcal.parametrisation import ScaleFree
 from fewcal.verdict import folds_inside
 

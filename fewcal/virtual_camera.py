@@ -17,8 +17,9 @@ place of the board. Here they follow a rule, so that every trial is the same on 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +53,12 @@ _CENTRING_STEPS = 6
 """Each leaves a few per cent, at most a third, of the offset of the middle: together less than 0.1 px."""
 _NEAREST, _FARTHEST = 0.05, 500.0
 """Distances looked at, in extents of the board: from a fish-eye to 20 times a telephoto lens."""
-_SECTIONS, _ROUNDS = 24, 8
-"""The distance is bracketed in 23 parts, 8 times over, to 1e-10 of itself."""
+_SECTIONS = 24
+"""Distances of the first look, farthest first."""
+_FALSE_POSITIONS = 60
+"""More than any board needs, 8 as a rule, to find the distance between two of those."""
+_ROUNDING = 1e-13
+"""Of the size of a board's image, as a share of half the image's: 1e-10 pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,8 +212,8 @@ def fill_image(
         Width and height, pixels.
     points : (N, 3)
         Board frame, metres, z = 0.
-    rotation : (3, 3)
-        From board to camera; it is kept.
+    rotation : (..., 3, 3)
+        From board to camera; it is kept. Many are placed at once.
     reach : float
         Size of the region as a share of the image.
     outline : {"frame", "circle"}
@@ -216,7 +221,7 @@ def fill_image(
 
     Returns
     -------
-    (4, 4) T_camera_board. The middle of the image of the board is at the middle of the image.
+    (..., 4, 4) T_camera_board. The middle of the image of the board is at the middle of the image.
 
     Raises
     ------
@@ -225,23 +230,25 @@ def fill_image(
     """
     if outline not in ("frame", "circle"):
         raise InvalidInput(f'outline is "frame" or "circle", not {outline!r}.')
-    half = (np.array(image_size, dtype=np.float64) - 1) / 2
+    region = _Region((np.array(image_size, dtype=np.float64) - 1) / 2, reach, outline == "circle")
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    turned = (points - middle) @ rotation.T
-    slope = _slope(camera, half)
+    turned = (points - middle) @ np.swapaxes(rotation, -1, -2)
+    centre = _slope(camera, region.half)
+    slope = np.broadcast_to(centre, (*turned.shape[:-2], 3))
     for _ in range(_CENTRING_STEPS):
-        distance = _nearest(camera, half, turned, slope, extent, reach, outline == "circle")
-        pixels = camera.project(turned + distance * slope)
-        slope = slope + _slope(camera, half) - _slope(camera, (pixels.min(axis=0) + pixels.max(axis=0)) / 2)
-    distance = _nearest(camera, half, turned, slope, extent, reach, outline == "circle")
-    T = np.eye(4)
-    T[:3, :3] = rotation
-    T[:3, 3] = distance * slope - rotation @ middle
-    seen = turned + distance * slope
+        distance = _nearest(camera, region, turned, slope, extent)
+        pixels = camera.project(turned + distance[..., None, None] * slope[..., None, :])
+        slope = slope + centre - _slope(camera, (pixels.min(axis=-2) + pixels.max(axis=-2)) / 2)
+    distance = _nearest(camera, region, turned, slope, extent)
+    seen = turned + distance[..., None, None] * slope[..., None, :]
     back = camera.unproject(camera.project(seen), folded="nan")
-    if not np.allclose(np.cross(back, seen), 0, atol=1e-6 * distance):
+    if not np.all(np.abs(np.cross(back, seen)) <= 1e-6 * distance[..., None, None]):
         raise InvalidInput("The distortion folds over inside the region; choose a smaller reach.")
+    T = np.zeros((*rotation.shape[:-2], 4, 4))
+    T[..., :3, :3] = rotation
+    T[..., :3, 3] = distance[..., None] * slope - rotation @ middle
+    T[..., 3, 3] = 1
     return T
 
 
@@ -259,9 +266,7 @@ def paper_pose(
     roll_deg: float = 0.0,
 ) -> Array:
     """Pose (4, 4) of the paper's board of 6 rows, as near as the circle of `reach` admits."""
-    points = _paper_points(columns)
-    rotation = board_pose(tilt_deg, tilt_axis_deg, roll_deg)[:3, :3]
-    return fill_image(camera, camera.image_size, points, rotation, reach, "circle")
+    return _paper_poses(columns, [(tilt_deg, tilt_axis_deg, roll_deg)], camera, reach)[0]
 
 
 def paper_trial(
@@ -287,48 +292,109 @@ def paper_trial(
     rng : numpy.random.Generator, optional
         Draws the tilt axes, and a roll, at random, to see what depends on the rule above.
     """
-    if views not in (1, 2):
-        raise InvalidInput(f"A trial of the paper has one view or two, not {views!r}.")
-    row, column = columns - PAPER_COLUMNS[0], round(tilt_deg / PAPER_TILTS_DEG[0]) - 1
-    axis = (row * len(PAPER_TILTS_DEG) + column) * GOLDEN_ANGLE_DEG % 360
-    arrangements = [(PAPER_REFERENCE_TILT_DEG, axis + 90, 0.0), (tilt_deg, axis, 0.0)][-views:]
-    if rng is not None:
-        arrangements = [(tilt, *rng.uniform(0, 360, 2).tolist()) for tilt, _, _ in arrangements]
-    poses = tuple(paper_pose(columns, tilt, about, camera, reach, roll) for tilt, about, roll in arrangements)
-    points = _paper_points(columns)
-    return Trial(columns, tilt_deg, tuple(exact_view(camera, points, T) for T in poses), poses)
+    return next(_paper_row(columns, (tilt_deg,), views, camera, reach, rng))
 
 
-def paper_trials(views: int = 1) -> Iterator[Trial]:
+def paper_trials(
+    views: int = 1, camera: VirtualCamera = PAPER_CAMERA, reach: float = PAPER_REACH
+) -> Iterator[Trial]:
     """Make all 1350 trials of section 5.1.2 (one view) or 5.1.3 (two views), one after the other."""
     for columns in PAPER_COLUMNS:
-        for tilt_deg in PAPER_TILTS_DEG:
-            yield paper_trial(columns, tilt_deg, views)
+        yield from _paper_row(columns, PAPER_TILTS_DEG, views, camera, reach)
+
+
+def _paper_row(
+    columns: int,
+    tilts_deg: Sequence[float],
+    views: int,
+    camera: VirtualCamera,
+    reach: float,
+    rng: np.random.Generator | None = None,
+) -> Iterator[Trial]:
+    """Trials with boards of one size, which are placed at once."""
+    if views not in (1, 2):
+        raise InvalidInput(f"A trial of the paper has one view or two, not {views!r}.")
+    row = columns - PAPER_COLUMNS[0]
+    arrangements: list[tuple[float, float, float]] = []
+    for tilt_deg in tilts_deg:
+        column = round(tilt_deg / PAPER_TILTS_DEG[0]) - 1
+        axis = (row * len(PAPER_TILTS_DEG) + column) * GOLDEN_ANGLE_DEG % 360
+        pair = [(PAPER_REFERENCE_TILT_DEG, axis + 90, 0.0), (tilt_deg, axis, 0.0)][-views:]
+        if rng is not None:
+            pair = [(tilt, rng.uniform(0, 360), rng.uniform(0, 360)) for tilt, _, _ in pair]
+        arrangements += pair
+    poses = iter(_paper_poses(columns, arrangements, camera, reach))
+    points = _paper_points(columns)
+    for tilt_deg in tilts_deg:
+        of_trial = tuple(islice(poses, views))
+        yield Trial(columns, tilt_deg, tuple(exact_view(camera, points, T) for T in of_trial), of_trial)
+
+
+def _paper_poses(
+    columns: int, arrangements: Sequence[tuple[float, float, float]], camera: VirtualCamera, reach: float
+) -> Array:
+    """Poses (P, 4, 4) for tilts, tilt axes and rolls, degrees."""
+    rotations = np.stack([board_pose(*arrangement)[:3, :3] for arrangement in arrangements])
+    return fill_image(camera, camera.image_size, _paper_points(columns), rotations, reach, "circle")
 
 
 def _paper_points(columns: int) -> Array:
     return Chessboard(columns, PAPER_ROWS, PAPER_SQUARE_SIZE).points
 
 
-def _slope(camera: Projector, pixel: Array) -> Array:
-    """(3,) direction of a pixel, x / z, y / z, 1."""
-    ray = camera.unproject(pixel[None], folded="nan")[0]
-    return np.asarray(ray / ray[2])
+class _Region(NamedTuple):
+    """A part of the image about its middle: `half` (2,) of its size, pixels, and what share of it."""
+
+    half: Array
+    reach: float
+    circle: bool
+
+    def excess(self, pixels: Array) -> Array:
+        """How far the outermost of some pixels (..., N, 2) is outside (...), as a share of `half`."""
+        offset = np.abs(pixels - self.half) / (self.half.min() if self.circle else self.half)
+        size = np.linalg.norm(offset, axis=-1) if self.circle else offset.max(axis=-1)
+        excess: Array = size.max(axis=-1) - self.reach
+        return excess
 
 
-def _nearest(
-    camera: Projector, half: Array, turned: Array, slope: Array, extent: float, reach: float, circle: bool
-) -> float:
-    """Smallest distance along a slope from which on outwards every point is inside the region."""
-    near, far = _NEAREST * extent, _FARTHEST * extent
-    for _ in range(_ROUNDS):
-        distances = np.geomspace(far, near, _SECTIONS)
-        pixels = camera.project(turned + distances[:, None, None] * slope)
-        offset = np.abs(pixels - half) / (half.min() if circle else half)
-        size = np.linalg.norm(offset, axis=-1) if circle else offset.max(axis=-1)
-        inside = size.max(axis=-1) <= reach  # a point behind the camera is NaN, and so not inside
-        if inside.all():
-            return float(near)
-        first = max(int(np.argmin(inside)), 1)
-        far, near = distances[first - 1], distances[first]
-    return float(far)
+def _slope(camera: Projector, pixels: Array) -> Array:
+    """Directions (..., 3) of pixels (..., 2), x / z, y / z, 1."""
+    rays = camera.unproject(pixels.reshape(-1, 2), folded="nan").reshape(*pixels.shape[:-1], 3)
+    slopes: Array = rays / rays[..., 2:]
+    return slopes
+
+
+def _nearest(camera: Projector, region: _Region, turned: Array, slope: Array, extent: float) -> Array:
+    """Smallest distance (...) along a slope (..., 3) from which on outwards all points (..., N, 3) are inside.
+
+    The size of the image is almost linear in the inverse of the distance, so that false position (Illinois
+    variant) finds it in a few steps; a point behind the camera is NaN, and the step a bisection.
+    """
+
+    def excess(inverse: Array) -> Array:
+        return region.excess(camera.project(turned + slope[..., None, :] / inverse[..., None, None]))
+
+    looked_at = np.geomspace(1 / (_FARTHEST * extent), 1 / (_NEAREST * extent), _SECTIONS)
+    shape = turned.shape[:-2]
+    seen = np.stack([excess(np.broadcast_to(inverse, shape)) for inverse in looked_at])
+    inside = seen <= 0
+    first = np.clip(np.argmin(inside, axis=0), 1, None)[None]  # of those that are not
+    far, near = (looked_at[first - step][0] for step in (1, 0))
+    at_far, at_near = (np.take_along_axis(seen, first - step, 0)[0] for step in (1, 0))
+    went_near = np.zeros(shape, dtype=np.int8)
+    for _ in range(_FALSE_POSITIONS):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            step = at_far / (at_far - at_near)
+        middle = far + np.where(np.isfinite(step), step, 0.5) * (near - far)
+        at_middle = excess(middle)
+        if np.all((np.abs(at_middle) < _ROUNDING) | (middle == far) | (middle == near)):
+            break
+        good = at_middle <= 0
+        # An end that stays for the second time counts half, so that the next step reaches beyond the solution.
+        again = np.where(good, went_near > 0, went_near < 0)
+        went_near = np.where(good, 1, -1)
+        at_far = np.where(good, at_middle, np.where(again, at_far / 2, at_far))
+        at_near = np.where(good, np.where(again, at_near / 2, at_near), at_middle)
+        far, near = np.where(good, middle, far), np.where(good, near, middle)
+    distance: Array = 1 / np.where(inside.all(axis=0), looked_at[-1], middle)
+    return distance

@@ -266,7 +266,8 @@ def paper_pose(
     roll_deg: float = 0.0,
 ) -> Array:
     """Pose (4, 4) of the paper's board of 6 rows, as near as the circle of `reach` admits."""
-    return _paper_poses(columns, [(tilt_deg, tilt_axis_deg, roll_deg)], camera, reach)[0]
+    pose: Array = _paper_poses(columns, [(tilt_deg, tilt_axis_deg, roll_deg)], camera, reach)[0]
+    return pose
 
 
 def paper_trial(
@@ -365,7 +366,7 @@ def _slope(camera: Projector, pixels: Array) -> Array:
 
 
 def _nearest(camera: Projector, region: _Region, turned: Array, slope: Array, extent: float) -> Array:
-    """Smallest distance (...) along a slope (..., 3) from which on outwards all points (..., N, 3) are inside.
+    """Smallest distance (...) along a slope (..., 3) from which on all points (..., N, 3) are inside.
 
     The size of the image is almost linear in the inverse of the distance, so that false position (Illinois
     variant) finds it in a few steps; a point behind the camera is NaN, and the step a bisection.
@@ -390,7 +391,7 @@ def _nearest(camera: Projector, region: _Region, turned: Array, slope: Array, ex
         if np.all((np.abs(at_middle) < _ROUNDING) | (middle == far) | (middle == near)):
             break
         good = at_middle <= 0
-        # An end that stays for the second time counts half, so that the next step reaches beyond the solution.
+        # An end that stays for the second time counts half, so that the next step reaches beyond.
         again = np.where(good, went_near > 0, went_near < 0)
         went_near = np.where(good, 1, -1)
         at_far = np.where(good, at_middle, np.where(again, at_far / 2, at_far))

@@ -293,7 +293,7 @@ def paper_trial(
     rng : numpy.random.Generator, optional
         Draws the tilt axes, and a roll, at random, to see what depends on the rule above.
     """
-    return next(_paper_row(columns, (tilt_deg,), views, camera, reach, rng))
+    return next(paper_row(columns, (tilt_deg,), views, camera, reach, rng))
 
 
 def paper_trials(
@@ -301,18 +301,18 @@ def paper_trials(
 ) -> Iterator[Trial]:
     """Make all 1350 trials of section 5.1.2 (one view) or 5.1.3 (two views), one after the other."""
     for columns in PAPER_COLUMNS:
-        yield from _paper_row(columns, PAPER_TILTS_DEG, views, camera, reach)
+        yield from paper_row(columns, PAPER_TILTS_DEG, views, camera, reach)
 
 
-def _paper_row(
+def paper_row(
     columns: int,
-    tilts_deg: Sequence[float],
-    views: int,
-    camera: VirtualCamera,
-    reach: float,
+    tilts_deg: Sequence[float] = PAPER_TILTS_DEG,
+    views: int = 1,
+    camera: VirtualCamera = PAPER_CAMERA,
+    reach: float = PAPER_REACH,
     rng: np.random.Generator | None = None,
 ) -> Iterator[Trial]:
-    """Trials with boards of one size, which are placed at once."""
+    """Make the trials with boards of one size, which are placed at once; see :func:`paper_trial`."""
     if views not in (1, 2):
         raise InvalidInput(f"A trial of the paper has one view or two, not {views!r}.")
     row = columns - PAPER_COLUMNS[0]

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from paper_trials import CASES, Outcome
 
@@ -17,6 +19,7 @@ from matplotlib import pyplot as plt
 Array = NDArray[np.float64]
 
 COLOURS = {"map": "C2", "zhu2020": "C0", "zhang": "k"}
+"""Methods that are drawn: green, and blue and black as in the paper."""
 PATTERN = ListedColormap(["#4472c4", "#ed9b33"])
 """Failure and success, in the paper's colours."""
 FIGURES = {"one": (5, 6), "two": (7, 8), "quantised": (9, 10)}
@@ -39,7 +42,7 @@ def draw(name: str, outcomes: Sequence[Outcome], folder: Path) -> None:
         _save(figure, folder / f"zhu2020_figure_{number}.png")
 
 
-def _save(figure: plt.Figure, path: Path) -> None:
+def _save(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=80)
     plt.close(figure)
 
@@ -53,7 +56,7 @@ def _grid(outcomes: Sequence[Outcome], values: Sequence[float]) -> tuple[Array, 
     return tilts, columns, grid
 
 
-def _success(methods: dict[str, list[Outcome]]) -> plt.Figure:
+def _success(methods: dict[str, list[Outcome]]) -> Figure:
     """Pattern over angle and number of points, and frequencies over each."""
     figure, axes = plt.subplots(1, len(methods) + 2, figsize=(15, 3.6), layout="constrained")
     by_points, by_tilt = axes[-2:]
@@ -70,7 +73,7 @@ def _success(methods: dict[str, list[Outcome]]) -> plt.Figure:
     return figure
 
 
-def _bias(name: str, methods: dict[str, list[Outcome]]) -> plt.Figure:
+def _bias(name: str, methods: dict[str, list[Outcome]]) -> Figure:
     """Mean and standard deviation of the bias over successful trials, one bar a parameter and method."""
     names = CASES[name].parameters
     figure, axes = plt.subplots(2, 1, figsize=(12, 6), sharex=True, layout="constrained")
@@ -90,7 +93,7 @@ def _bias(name: str, methods: dict[str, list[Outcome]]) -> plt.Figure:
     return figure
 
 
-def _errors(name: str, methods: dict[str, list[Outcome]]) -> plt.Figure:
+def _errors(name: str, methods: dict[str, list[Outcome]]) -> Figure:
     """Relative error of parameters over angle and number of points."""
     case = CASES[name]
     camera = case.camera
@@ -100,16 +103,16 @@ def _errors(name: str, methods: dict[str, list[Outcome]]) -> plt.Figure:
         len(methods), len(SHOWN), figsize=(15, 2.2 * len(methods) + 0.8), sharex=True, sharey=True,
         layout="constrained", squeeze=False,
     )  # fmt: skip
-    mesh = None
+    scale = LogNorm(FLOOR, 1.0)
     for row, (method, of) in zip(axes, methods.items(), strict=True):
         row[0].set_ylabel(f"{method}\npoints")
         for axis, parameter in zip(row, SHOWN, strict=True):
             i = case.parameters.index(parameter)
             tilts, columns, error = _grid(of, [abs(o.bias[i] / truth[parameter]) for o in of])
             error = np.maximum(error, FLOOR)
-            mesh = axis.pcolormesh(tilts, 6 * columns, error, norm=LogNorm(FLOOR, 1.0), shading="nearest")
+            axis.pcolormesh(tilts, 6 * columns, error, norm=scale, shading="nearest")
             axis.set_title(parameter)
-    figure.colorbar(mesh, ax=axes, label="relative error; white: no answer")
+    figure.colorbar(ScalarMappable(scale), ax=axes, label="relative error; white: no answer")
     figure.supxlabel("shooting angle, degrees")
     figure.suptitle(f"{case.title} of the paper")
     return figure

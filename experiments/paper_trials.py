@@ -9,17 +9,18 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 import fewcal
 from fewcal.adjustment import Adjustment, Geometry
-from fewcal.constraints import Priors
+from fewcal.constraints import Normal, Priors
 from fewcal.parametrisation import ScaleFree
 from fewcal.posterior import posterior
-from fewcal.views import stack_views
+from fewcal.views import View, stack_views
 from fewcal.virtual_camera import (
     FIGURE_12_CAMERA,
     FIGURE_12_REACH,
@@ -31,13 +32,17 @@ from fewcal.virtual_camera import (
     VirtualCamera,
     paper_row,
 )
+from fewcal.zhu2020 import estimate_zhu2020
 
 Array = NDArray[np.float64]
+Views: TypeAlias = tuple[View, ...]
 
 ROUNDING_PX = 1 / math.sqrt(12)
 """Standard deviation of the error that rounding to whole pixels makes."""
 INTRINSICS = ("fx", "s", "u0", "fy", "v0", "k1", "k2")
 POSE = ("alpha", "beta", "gamma", "tx", "ty", "tz")
+VAGUE = 10.0
+"""Standard deviation of ln(f / W) where nothing is known of the focal length."""
 ANGLES = 3
 """The first so many of a pose."""
 
@@ -54,10 +59,13 @@ class Case(NamedTuple):
     camera : VirtualCamera
     reach : float
         See :func:`fewcal.virtual_camera.paper_trial`.
+    methods : tuple of str
+        Of :data:`SOLVERS`, those that tell something here.
     """
 
     title: str
     views: int
+    methods: tuple[str, ...] = ("map", "zhu2020", "zhang")
     quantised: bool = False
     camera: VirtualCamera = PAPER_CAMERA
     reach: float = PAPER_REACH
@@ -71,11 +79,14 @@ class Case(NamedTuple):
 
 CASES = {
     "one": Case("One exact view", 1),
-    "two": Case("Two exact views", 2),
-    "quantised": Case("Two views, pixels rounded", 2, True),
-    "figure12": Case(
-        "Two exact views of the camera of figure 12", 2, False, FIGURE_12_CAMERA, FIGURE_12_REACH
+    "two": Case("Two exact views", 2, ("map", "zhu2020", "zhu2020, centred", "zhang")),
+    "quantised": Case(
+        "Two views, pixels rounded",
+        2,
+        ("map", "map, f unknown", "zhu2020", "zhu2020, centred", "zhang"),
+        quantised=True,
     ),
+    "figure12": Case("Two exact views, figure 12", 2, camera=FIGURE_12_CAMERA, reach=FIGURE_12_REACH),
 }
 
 
@@ -94,8 +105,9 @@ class Outcome(NamedTuple):
     focal_error : float
         Relative, of fx; infinite without an answer.
     seconds : float
-    bounds : (2,)
-        Cramer-Rao bound of ln fx: from the points alone, and with the priors of map. NaN for exact points.
+    bounds : (3,)
+        Cramer-Rao bound of ln fx from the points alone, with the priors of map but that of the focal length,
+        and with all its priors. NaN for exact points.
     """
 
     method: str
@@ -126,7 +138,7 @@ def run(job: Job) -> list[Outcome]:
         return []
     found = []
     for trial in paper_row(job.columns, tilts, case.views, case.camera, case.reach):
-        bounds = focal_bounds(case.camera, trial) if case.quantised else np.full(2, np.nan)
+        bounds = focal_bounds(case.camera, trial) if case.quantised else np.full(3, np.nan)
         found += [attempt(case, trial, method, bounds) for method in job.methods]
     return found
 
@@ -136,19 +148,17 @@ def attempt(case: Case, trial: Trial, method: str, bounds: Array) -> Outcome:
     views = trial.views
     if case.quantised:
         views = tuple(fewcal.View(view.object_points, np.round(view.image_points)) for view in views)
-    truth = _parameters(case.camera.intrinsics, case.camera.s, case.camera.pixel_distortion, trial.poses)
+    camera = case.camera
+    truth = _parameters(camera.intrinsics, camera.s, camera.pixel_distortion, trial.poses)
     start = time.perf_counter()
     try:
-        found = fewcal.calibrate(views, case.camera.image_size, method=method)
+        bias = SOLVERS[method](views, camera.image_size) - truth
     except fewcal.FewcalError:
-        seconds = time.perf_counter() - start
-        nothing = np.full(len(truth), np.nan)
-        return Outcome(method, trial.columns, trial.tilt_deg, False, nothing, np.inf, seconds, bounds)
+        bias = np.full(len(truth), np.nan)
     seconds = time.perf_counter() - start
-    bias = _parameters(found.camera.intrinsics, found.skew, found.pixel_distortion, found.board_poses) - truth
     angles = np.array([name.rstrip("12") in POSE[:ANGLES] for name in case.parameters])
     bias[angles] = np.remainder(bias[angles] + np.pi, 2 * np.pi) - np.pi
-    error = abs(bias[0] / truth[0])
+    error = np.nan_to_num(abs(bias[0] / truth[0]), nan=np.inf)
     success = succeeds(bias, truth)
     return Outcome(method, trial.columns, trial.tilt_deg, success, bias, error, seconds, bounds)
 
@@ -160,7 +170,7 @@ def succeeds(bias: Array, truth: Array) -> bool:
 
 
 def focal_bounds(camera: VirtualCamera, trial: Trial) -> Array:
-    """Cramer-Rao bounds (2,) of ln fx for points rounded to pixels: without priors, and with those of map.
+    """Cramer-Rao bounds (3,) of ln fx for points rounded to pixels; see :class:`Outcome`.
 
     The unknowns are fx, fy, u0, v0, k1 to k4 and the poses.
     """
@@ -181,7 +191,37 @@ def focal_bounds(camera: VirtualCamera, trial: Trial) -> Array:
         rows = Adjustment(stack, model, constraint).rows(at, ROUNDING_PX)
         return math.sqrt(posterior(rows).covariance[0, 0])
 
-    return np.array([bound(_no_rows), bound(Priors().rows(max(camera.image_size)))])
+    width = max(camera.image_size)
+    vague = Priors(log_focal_over_width=Normal(0.0, VAGUE))
+    return np.array([bound(_no_rows), bound(vague.rows(width)), bound(Priors().rows(width))])
+
+
+def _calibrate(views: Views, size: tuple[int, int], method: str, priors: Priors = Priors()) -> Array:
+    found = fewcal.calibrate(views, size, method=method, priors=priors)
+    return _parameters(found.camera.intrinsics, found.skew, found.pixel_distortion, found.board_poses)
+
+
+def _centred(views: Views, size: tuple[int, int]) -> Array:
+    stack = stack_views(views)
+    geometry = estimate_zhu2020(stack, size, centred=True).geometry
+    theta = geometry.theta[0]
+    poses = np.tile(np.eye(4), (len(views), 1, 1))
+    poses[:, :3, :3] = geometry.rotation[0] @ np.swapaxes(stack.plane, -1, -2)
+    poses[:, :3, 3] = geometry.position[0] - (poses[:, :3, :3] @ stack.centroid[..., None])[..., 0]
+    return _parameters(theta[:4], theta[4], theta[5:], tuple(poses))
+
+
+SOLVERS: dict[str, Callable[[Views, tuple[int, int]], Array]] = {
+    "map": partial(_calibrate, method="map"),
+    "map, f unknown": partial(
+        _calibrate, method="map", priors=Priors(log_focal_over_width=Normal(0.0, VAGUE))
+    ),
+    "zhu2020": partial(_calibrate, method="zhu2020"),
+    "zhu2020, centred": _centred,
+    "zhang": partial(_calibrate, method="zhang"),
+}
+"""The methods, and two variants that tell what decides: map without a prior of the focal length, and zhu2020
+with the principal point held at the centre in the closed form of two views."""
 
 
 def _no_rows(theta: Array) -> tuple[Array, Array]:

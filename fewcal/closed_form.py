@@ -14,7 +14,7 @@ from .errors import ImaginaryFocalLength
 Array = NDArray[np.float64]
 
 
-def simplified_intrinsics(H: Array, principal_point: Array) -> Array:
+def simplified_intrinsics(H: Array, principal_point: Array, held: bool = False) -> Array:
     """Camera with fx = fy = f and no skew (paper eqs 19-27).
 
     One view: the principal point is taken as given and f follows from v_12 . b = 0. Two or more: b is the
@@ -26,6 +26,8 @@ def simplified_intrinsics(H: Array, principal_point: Array) -> Array:
         Homographies of V views.
     principal_point : (2,)
         Used for one view, and to condition the equations of more, pixels.
+    held : bool
+        Take it as given for more views too; f^2 is then the least-squares solution of all equations.
 
     Returns
     -------
@@ -46,6 +48,10 @@ def simplified_intrinsics(H: Array, principal_point: Array) -> Array:
     H = np.diag([1 / size, 1 / size, 1.0]) @ H
     H = H / np.linalg.norm(H, axis=(-2, -1), keepdims=True)
     rows = np.concatenate([_v(H, 0, 1), _v(H, 0, 0) - _v(H, 1, 1)], axis=-2)
+    if held:
+        by_square, rest = rows[..., 0], rows[..., 3]
+        squared = -(by_square * rest).sum(axis=-1) / (by_square * by_square).sum(axis=-1) * size**2
+        return np.concatenate([squared[..., None], np.broadcast_to(centre, (*squared.shape, 2))], axis=-1)
     _, _, vt = np.linalg.svd(rows)
     with np.errstate(divide="ignore", invalid="ignore"):
         b = vt[..., 3, :] / vt[..., 3, 3:]

@@ -27,8 +27,16 @@ from .views import ViewStack
 Array = NDArray[np.float64]
 
 
-def estimate_zhu2020(views: ViewStack, image_size: tuple[int, int]) -> Estimate:
+def estimate_zhu2020(views: ViewStack, image_size: tuple[int, int], centred: bool = False) -> Estimate:
     """Run the paper's method (section 4).
+
+    Parameters
+    ----------
+    views : ViewStack
+    image_size : (width, height), pixels
+    centred : bool
+        Hold the principal point at the image's centre in the closed form of several views, as the paper does
+        for one; not the paper's method, but it tells where that one fails.
 
     Raises
     ------
@@ -40,7 +48,7 @@ def estimate_zhu2020(views: ViewStack, image_size: tuple[int, int]) -> Estimate:
     centre = np.array(image_size) / 2
     H = homographies(views.points, views.pixels, views.weights)
     H = refine_homographies(H, views.points, views.pixels, views.weights, centre)
-    squared, u0, v0 = simplified_intrinsics(H, centre)
+    squared, u0, v0 = simplified_intrinsics(H, centre, centred)
     f = checked_focal_length(squared)
     count = len(views.points)
 

@@ -45,6 +45,7 @@ setup(
             "ros-jazzy-common-interfaces>=5.3,<6",
             "ros-jazzy-rmw-fastrtps-cpp>=8.4,<9",
         ],
+        "experiments": ["matplotlib>=3.6,<4"],  # the figures of experiments/ and doc/
         "test": [
             "pytest>=8,<10",
             "hypothesis>=6.100,<7",

@@ -1,21 +1,28 @@
 """Calibrate real cameras from single views and pairs, and compare with a calibration on all their views.
 
-    python experiments/real_cameras.py DIR [--pairs 30] [--methods map,opencv-expert,...]
+    python experiments/real_cameras.py DIR [--pairs 30] [--methods map opencv-expert ...] [--plots DIR]
 
 DIR holds one folder a camera with a corners.npz: names, view_ptr (V + 1 offsets), obj (M, 3) metres, img
 (M, 2) pixels, image_size (w, h). The reference is OpenCV's calibration on all views with k3 fixed at zero.
 Printed for each method, median and 90th percentile: the relative focal error, and the projection error
 after the best rotation, over a grid on the image, in thousandths of the image diagonal. Then gross failures
-(focal error above 10 %, or no answer), those of them that the verdict had not flagged, the share of focal
-errors within 1, 2 and 3 reported sigma, and how many answers called usable were off by more than 3.
+(focal error above 10 %, or no answer), how many of those the verdict had flagged, the share of focal errors
+within 1, 2 and 3 reported sigma, the answers called usable, and those of them off by more than 3.
+`--plots` draws the distribution of the projection error, which needs matplotlib.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
+
+# One thread a process: the matrices are small, and the processes share the cores.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
 import numpy as np
@@ -137,55 +144,155 @@ def draws(count: int, pairs: int, rng: np.random.Generator) -> dict[int, list[tu
     return {1: [(i,) for i in range(count)], 2: both}
 
 
+class Result(NamedTuple):
+    """What one method made of one draw of views.
+
+    Attributes
+    ----------
+    focal : float
+        Relative error of fx; infinite without an answer.
+    projection : float
+        See :func:`projection_error`; infinite without an answer.
+    z : float
+        Focal error over the reported sigma; NaN where none is reported.
+    usable : bool
+        By the verdict.
+    """
+
+    focal: float
+    projection: float
+    z: float
+    usable: bool
+
+
+Results = dict[tuple[str, int], list[Result]]
+"""By method and number of views."""
+
+
+def measure(
+    method: Method, views: list[fewcal.View], size: tuple[int, int], reference: fewcal.Camera
+) -> Result:
+    """Calibrate, and compare with the reference."""
+    try:
+        camera, sd, usable = method(views, size)
+    except fewcal.FewcalError:
+        return Result(np.inf, np.inf, np.nan, False)
+    error = abs(camera.fx / reference.fx - 1)
+    return Result(error, projection_error(camera, reference, size), error / sd if sd else np.nan, usable)
+
+
+def run(job: tuple[Path, int, tuple[str, ...]]) -> Results:
+    """All draws of one camera: its corners.npz, the number of pairs, and the methods."""
+    path, pairs, names = job
+    cv2.setNumThreads(1)
+    views, size = load(path)
+    reference = opencv(views, size, cv2.CALIB_FIX_K3)
+    return {
+        (name, count): [measure(METHODS[name], [views[i] for i in draw], size, reference) for draw in chosen]
+        for count, chosen in draws(len(views), pairs, np.random.default_rng(0)).items()
+        for name in names
+    }
+
+
+COLUMNS = (
+    "views",
+    "method",
+    "n",
+    "focal error, median / 90 %",
+    "projection error, median / 90 %",
+    "off by > 10 %",
+    "of these flagged",
+    "z < 1, 2, 3",
+    "usable",
+    "of these z > 3",
+)
+
+
+def cells(found: Sequence[Result]) -> list[str]:
+    """Cells of one row of the table, from the number of draws on."""
+    focal, projection, z, usable = (np.array(column, dtype=float) for column in zip(*found, strict=True))
+    gross = focal > GROSS
+    known = z[np.isfinite(z)]
+    false = ((z > 3) & (usable > 0)).sum() / max(usable.sum(), 1)
+    return [
+        str(len(found)),
+        _quantiles(100 * focal) + " %",
+        _quantiles(projection),
+        f"{gross.sum()}",
+        f"{(gross & (usable == 0)).sum()}",
+        " ".join(f"{(known < bound).mean():.2f}" for bound in (1, 2, 3)) if len(known) else "-",
+        f"{usable.mean():.2f}",
+        f"{100 * false:.1f} %" if len(known) else "-",
+    ]
+
+
+def _quantiles(errors: Array) -> str:
+    """Median and 90th percentile; "none" where that has no answer."""
+    quantiles = np.percentile(errors, (50, 90), method="lower").tolist()
+    return " / ".join(
+        f"{quantile:#.3g}".rstrip(".") if np.isfinite(quantile) else "none" for quantile in quantiles
+    )
+
+
+def table(results: Mapping[tuple[str, int], Sequence[Result]]) -> None:
+    """Print markdown."""
+    for row in (COLUMNS, ["---"] * len(COLUMNS)):
+        print("| " + " | ".join(row) + " |")
+    for (name, count), found in sorted(results.items(), key=lambda item: item[0][1]):
+        print("| " + " | ".join([str(count), name, *cells(found)]) + " |")
+    print(flush=True)
+
+
+def plot(results: Mapping[tuple[str, int], Sequence[Result]], folder: Path) -> None:
+    """Write real_cameras.png: distribution of the projection error, one panel a number of views."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    counts = sorted({count for _, count in results})
+    figure, axes = plt.subplots(
+        1, len(counts), figsize=(11, 4), sharey=True, layout="constrained", squeeze=False
+    )
+    for axis, count in zip(axes[0], counts, strict=True):
+        for name in [name for name, views in results if views == count]:
+            errors = np.sort([result.projection for result in results[name, count]])
+            share = np.arange(1, len(errors) + 1) / len(errors)
+            axis.step(errors, share, where="post", label=name, lw=2.5 if name == "map" else 1.2)
+        axis.set(xscale="log", xlim=(1, 1000), ylim=(0, 1), title=f"{count} view{'s' if count > 1 else ''}")
+        axis.set_xlabel("projection error, thousandths of the diagonal")
+        axis.grid(alpha=0.3)
+    axes[0, 0].set_ylabel("share of draws")
+    axes[0, 0].legend()
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / "real_cameras.png", dpi=80)
+
+
 def main() -> None:
     """Print the comparison."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--pairs", type=int, default=30, help="pairs of views a camera at most (default 30)")
-    parser.add_argument("--methods", default=",".join(METHODS), help="comma-separated, default all")
-    parser.add_argument("--each", action="store_true", help="also print one line a camera")
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS), help="default: all")
+    parser.add_argument("--each", action="store_true", help="also print a table of each camera")
+    parser.add_argument("--processes", type=int, default=os.cpu_count(), help="default: one a core")
+    parser.add_argument("--plots", type=Path, help="folder for the figure (default: none is drawn)")
     options = parser.parse_args()
-    names = options.methods.split(",")
-    rows: dict[tuple[str, int], list[tuple[float, float, float, bool]]] = {}
-    for path in sorted(options.folder.glob("**/corners.npz")):
-        views, size = load(path)
-        reference = opencv(views, size, cv2.CALIB_FIX_K3)
-        for count, chosen in draws(len(views), options.pairs, np.random.default_rng(0)).items():
-            for name in names:
-                found = [measure(METHODS[name], [views[i] for i in draw], size, reference) for draw in chosen]
-                rows.setdefault((name, count), []).extend(found)
-                if options.each:
-                    print(f"{path.parent.name:24s}", line(name, count, found))
-    for (name, count), found in sorted(rows.items(), key=lambda item: item[0][1]):
-        print(line(name, count, found))
-
-
-def measure(
-    method: Method, views: list[fewcal.View], size: tuple[int, int], reference: fewcal.Camera
-) -> tuple[float, float, float, bool]:
-    """Focal error, projection error, |focal error| / reported sigma, usable; infinite without an answer."""
-    try:
-        camera, sd, usable = method(views, size)
-    except fewcal.FewcalError:
-        return np.inf, np.inf, np.nan, False
-    error = abs(camera.fx / reference.fx - 1)
-    return error, projection_error(camera, reference, size), error / sd if sd else np.nan, usable
-
-
-def line(name: str, count: int, found: list[tuple[float, float, float, bool]]) -> str:
-    """One line of the table."""
-    focal, projected, z, usable = (np.array(column, dtype=float) for column in zip(*found, strict=True))
-    gross = focal > GROSS
-    text = f"{count} view{'s' if count > 1 else ' '} {name:17s} n={len(found):4d}  "
-    text += "focal {:6.2f} % / {:7.1f} %  ".format(*(100 * np.percentile(focal, (50, 90), method="lower")))
-    text += "projection {:6.2f} / {:7.1f}  ".format(*np.percentile(projected, (50, 90), method="lower"))
-    text += f"gross {100 * gross.mean():5.1f} %, unflagged {100 * (gross & (usable > 0)).mean():5.1f} %"
-    if np.isfinite(z).any():
-        known = z[np.isfinite(z)]
-        text += f"  z<1 {(known < 1).mean():.2f}  z<2 {(known < 2).mean():.2f}  z<3 {(known < 3).mean():.2f}"
-        false = ((z > 3) & (usable > 0)).sum() / max(usable.sum(), 1)
-        text += f"  usable {usable.mean():.2f}, of those z>3 {false:.3f}"
-    return text
+    paths = sorted(options.folder.glob("**/corners.npz"))
+    if not paths:
+        parser.error(f"There is no corners.npz in {options.folder} or a folder in it.")
+    together: Results = {}
+    with ProcessPoolExecutor(options.processes) as pool:
+        jobs = [(path, options.pairs, tuple(options.methods)) for path in paths]
+        for path, results in zip(paths, pool.map(run, jobs), strict=True):
+            for key, found in results.items():
+                together.setdefault(key, []).extend(found)
+            if options.each:
+                print(f"{path.parent.name}\n")
+                table(results)
+    table(together)
+    if options.plots:
+        plot(together, options.plots)
 
 
 if __name__ == "__main__":

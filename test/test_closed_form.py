@@ -48,6 +48,14 @@ def test_one_view_gives_the_focal_length_when_the_principal_point_is_given() -> 
     assert f2 != pytest.approx(1234**2, rel=1e-3)
 
 
+@pytest.mark.parametrize("count", [2, 4])
+def test_the_principal_point_can_be_held_for_more_views(count: int) -> None:
+    H, _ = homographies(SQUARE.matrix, SQUARE, count)
+    held = simplified_intrinsics(H, np.array([650, 460]), held=True)
+    np.testing.assert_allclose(held, [1234**2, 650, 460], rtol=1e-9)
+    assert tuple(simplified_intrinsics(H, CENTRE, held=True)[1:]) == tuple(CENTRE)
+
+
 @given(f=st.floats(300, 8000), u0=st.floats(400, 900), v0=st.floats(300, 700), first=st.integers(0, 2))
 def test_any_camera_with_square_pixels_follows_from_two_views(
     f: float, u0: float, v0: float, first: int

@@ -99,6 +99,7 @@ def test_every_135th_trial(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     found = [int(count) for count in re.findall(r"^\| map \| (\d+) of 10 \|", done.stdout, re.MULTILINE)]
     assert len(found) == len(CASES)
-    assert found[:2] == [10, 10]
+    # The first trial, four columns at 1.2 deg, is one of the few that one view does not settle.
+    assert found[:2] == [9, 10]
     figures = sorted(path.name for path in tmp_path.glob("*.png"))
     assert figures == sorted(f"zhu2020_figure_{number}.png" for number in (5, 6, 7, 8, 9, 10, 12))

@@ -24,7 +24,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/fewcal"]),
         ("share/fewcal", ["package.xml"]),
         ("share/fewcal/launch", ["launch/fewcal.launch.py"]),
-        ("share/fewcal/config", sorted(str(path) for path in Path("config").glob("*.yaml"))),
+        ("share/fewcal/config", sorted(str(path) for path in Path("config").iterdir())),
     ],
     zip_safe=False,
     python_requires=">=3.10",

@@ -196,6 +196,11 @@ class Cell:
         self.stack.callback(process.end, signal.SIGTERM)
         return process
 
+    def reliability(self, topic: str) -> set[ReliabilityPolicy]:
+        """Reliability of everybody who subscribes to a topic."""
+        subscribers = self.client.node.get_subscriptions_info_by_topic(topic)
+        return {subscriber.qos_profile.reliability for subscriber in subscribers}
+
     def start_camera(
         self, recording: str = "wrist.bag", topic: str = "/image", reliable: bool = True
     ) -> CameraProcess:

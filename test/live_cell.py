@@ -189,7 +189,7 @@ class Cell:
     def start_node(self, *arguments: str, **parameters: Any) -> Process:
         given = {"board": BOARD} | {name.replace("__", "."): value for name, value in parameters.items()}
         options = [f"{name}:={json.dumps(value)}" for name, value in given.items()]
-        command = [sys.executable, "-m", "fewcal_ros.node", "--ros-args", *arguments]
+        command = [sys.executable, "-m", "fewcal_ros.node_command", "--ros-args", *arguments]
         process = Process(
             [*command, *(part for option in options for part in ("-p", option))], self.environment
         )

@@ -47,6 +47,7 @@ setup(
         ],
         "test": [
             "pytest>=8,<10",
+            "pytest-xdist>=3.6,<4",
             "hypothesis>=6.100,<7",
             "mypy>=1.15,<3",
             "ruff>=0.17,<0.18",  # every minor version may format otherwise

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
+import time
 from typing import Protocol
 
 import rclpy
@@ -19,6 +20,7 @@ THREADS = 8
 """One for each callback group that can be busy at once: three that may wait in services, and the others."""
 SHUTDOWN_S = 0.5
 """How long the callbacks that still run may take to end."""
+_SETTLED_POLL_S = 0.01
 POLL_S = 0.2
 """How often to see whether the executor has failed, or is to end."""
 
@@ -47,7 +49,7 @@ def run(node: Closable, wait: Wait) -> int:
     int
         The exit code.
     """
-    executor = MultiThreadedExecutor(THREADS)
+    executor = _Executor(THREADS)
     executor.add_node(node)
     spinner = _Spinner(executor)
     spinner.start()
@@ -56,13 +58,23 @@ def run(node: Closable, wait: Wait) -> int:
     # First nothing new is begun, then what waits is let go, then what runs is waited for.
     spinner.end()
     node.close()
-    executor.shutdown(SHUTDOWN_S)
+    executor.settle(SHUTDOWN_S)
+    executor.shutdown(0)
     node.destroy_node()
     rclpy.shutdown()
     if spinner.failure is not None:
         print(f"fewcal_node: {type(spinner.failure).__name__}: {spinner.failure}", file=sys.stderr)
         return FAILED
     return ENDED
+
+
+class _Executor(MultiThreadedExecutor):  # type: ignore[misc]  # rclpy is not installed wherever this is checked
+    """An executor whose callbacks can be waited for, those included that no thread has taken up yet."""
+
+    def settle(self, timeout_s: float) -> None:
+        end = time.monotonic() + timeout_s
+        while time.monotonic() < end and not all(begun.done() for begun in list(self._futures)):
+            time.sleep(_SETTLED_POLL_S)
 
 
 class _Spinner(threading.Thread):

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from live_cell import BAGS, BOARD, LOSSLESS, TIMEOUT_S, Cell, Process, robot_cell, wait_until
+from machine import crowding
 from rclpy.qos import ReliabilityPolicy
 from ros_domain import own_domain
 from sensor_msgs.msg import CameraInfo, Image
@@ -44,7 +45,7 @@ def assert_ends_well(node: Process, number: int) -> None:
     code, took = node.end(number)
     errors = "".join(node.err)
     assert code == 0, errors
-    assert took < 2
+    assert took < 2 * crowding()
     assert "Traceback" not in errors
     assert "exception" not in errors.lower()
 
@@ -351,7 +352,7 @@ class TestState:
                 input=f"{w}x{h} {encoding} in frame {frame!r}", input_changes=str(changes)
             )
             assert "call ~/reset" in values["last input change"]
-        assert sum("The images have changed" in line for line in node.err) == 3
+        wait_until(lambda: sum("The images have changed" in line for line in node.err) == 3, "warnings")
         camera.tell(blank=[96, 48, "strange", "b"])
         values = cell.client.wait_for(level="ERROR", images_unreadable="1")
         assert "The image encoding 'strange' is not supported" in values["message"]

@@ -20,7 +20,7 @@ from .noise import Noise
 from .parametrisation import PixelModel, ScaleFree
 from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
 from .posterior import NAMES, camera_posterior, determined_share, gaussian_covariance, projection_std
-from .verdict import Evidence, Thresholds, Verdict, judge, tilt_deg
+from .verdict import Evidence, Thresholds, Verdict, extent, judge, tilt_deg
 from .views import View, stack_views
 from .zhu2020 import estimate_zhang, estimate_zhu2020
 
@@ -258,7 +258,7 @@ def _result(
     covariance = solution.covariance
     evidence = Evidence(
         rotations=rotation,
-        extents=np.array([np.linalg.norm(np.ptp(v.image_points, axis=0)) for v in views]) / np.hypot(*size),
+        extents=np.array([extent(view.image_points, size) for view in views]),
         camera=solution.camera,
         image_size=size,
         sigma_px=solution.sigma_px,

@@ -1,7 +1,6 @@
 """The bend of the board, which every view shares.
 
-No board is flat: those of public calibration sets bend by 4e-4 of their diagonal in the median, one in ten by
-1e-3 and more. The estimate takes the board for flat; its error bars count two parabolic coefficients as
+No board is flat, and a bend of a thousandth moves the focal length by per cents. The estimate takes the board for flat; its error bars count two parabolic coefficients as
 unknowns beside the camera, so that they cover what a bend may have done to it.
 """
 

@@ -1,7 +1,8 @@
 """The bend of the board, which every view shares.
 
-No board is flat, and a bend of a thousandth moves the focal length by per cents. The estimate takes the board for flat; its error bars count two parabolic coefficients as
-unknowns beside the camera, so that they cover what a bend may have done to it.
+No board is flat, and a bend of a thousandth of its size moves the focal length by per cents. The estimate
+takes the board for flat; its error bars count two parabolic coefficients as unknowns beside the camera, to
+cover what a bend may have done to it.
 """
 
 from __future__ import annotations

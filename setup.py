@@ -24,7 +24,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/fewcal"]),
         ("share/fewcal", ["package.xml"]),
         ("share/fewcal/launch", ["launch/fewcal.launch.py"]),
-        ("share/fewcal/config", sorted(str(path) for path in Path("config").glob("*.yaml"))),
+        ("share/fewcal/config", sorted(str(path) for path in Path("config").iterdir())),
     ],
     zip_safe=False,
     python_requires=">=3.10",
@@ -48,6 +48,7 @@ setup(
         "experiments": ["matplotlib>=3.6,<4"],  # the figures of experiments/ and doc/
         "test": [
             "pytest>=8,<10",
+            "pytest-xdist>=3.6,<4",
             "hypothesis>=6.100,<7",
             "mypy>=1.15,<3",
             "ruff>=0.17,<0.18",  # every minor version may format otherwise

@@ -1,10 +1,10 @@
 """Load the node with large images, and print what it takes in, how fast it answers and what memory it keeps.
 
-    python experiments/live_load.py [--minutes 2] [--rate 30] [--best-effort] [--auto] [--plot FILE.png]
+    python experiments/live_load.py [--minutes 2] [--rate 30] [--best-effort [--profile XML]] [--auto]
 
 A camera in a process of its own publishes rendered 1920x1080 mono8 frames: a board held still at one pose,
-then at the next. The node runs in another, and this process calls its services as a robot program would, with
-no pause. Needs ROS 2; a ROS_DOMAIN_ID of your own keeps the run from meeting other nodes.
+then at the next. The node runs in another, and this process calls its services as a robot program would.
+Needs ROS 2; a ROS_DOMAIN_ID of your own keeps the run from meeting other nodes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,10 +31,12 @@ SIZE = (1920, 1080)
 BOARD = "chessboard:9x6:0.025"
 POSES = ((35, 0, 0), (35, 90, 40), (30, 180, 90), (40, 250, 20))
 """Tilt, the direction of the tilt, and turn of the board, degrees."""
-HOLD_S = 3.0
+HOLD_S = 1.0
 """How long the camera looks at the board from each pose."""
-MOVE_S = 0.3
+MOVE_S = 1.0
 """How long the robot moves before it asks for a view."""
+SETTLE_S = 3.0
+"""By then the node has found out how reliable the camera is."""
 WARM_UP_S = 60.0
 """Memory is compared with what it was after this time."""
 
@@ -71,6 +73,7 @@ def run_camera(rate: float, best_effort: bool) -> None:
     reliable = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
     publisher = node.create_publisher(Image, "image", qos_profile_sensor_data if best_effort else reliable)
     start = time.monotonic()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     for count in range(sys.maxsize):
         elapsed = count / rate
         time.sleep(max(0.0, start + elapsed - time.monotonic()))
@@ -80,9 +83,9 @@ def run_camera(rate: float, best_effort: bool) -> None:
 
 
 @contextmanager
-def running(*command: str) -> Iterator[subprocess.Popen[bytes]]:
+def running(*command: str, environment: Mapping[str, str] = {}) -> Iterator[subprocess.Popen[bytes]]:
     """Run a process, and end it."""
-    process = subprocess.Popen([sys.executable, *command])
+    process = subprocess.Popen([sys.executable, *command], env={**os.environ, **environment})
     try:
         yield process
     finally:
@@ -161,6 +164,7 @@ def load(program: RobotProgram, node: int, minutes: float, work: Callable[[], No
         client.wait_for_service(30)
     while not float(program.values.get("images received", 0)):
         time.sleep(0.1)
+    time.sleep(SETTLE_S)
     first, start = program.values, time.monotonic()
     times, sizes = [0.0], [resident_mb(node)]
     while times[-1] < 60 * minutes:
@@ -194,6 +198,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=2)
     parser.add_argument("--rate", type=float, default=30, help="images a second")
     parser.add_argument("--best-effort", action="store_true", help="sensor-data QoS; else reliable")
+    parser.add_argument("--profile", help="profiles of Fast DDS for the camera, see config/")
     parser.add_argument("--auto", action="store_true", help="the node takes views by itself")
     parser.add_argument("--camera", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -201,8 +206,8 @@ def main() -> None:
         run_camera(options.rate, options.best_effort)
         return
     best_effort = ["--best-effort"] * options.best_effort
-    override = (
-        [] if options.best_effort else ["-p", "qos_overrides./image.subscription.reliability:=reliable"]
+    profile = (
+        {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(options.profile).resolve())} if options.profile else {}
     )
     with TemporaryDirectory() as folder:
         parameters = {"board": BOARD, "output_path": f"{folder}/", "auto_capture": options.auto}
@@ -210,10 +215,8 @@ def main() -> None:
             part for name, value in parameters.items() for part in ("-p", f"{name}:={json.dumps(value)}")
         ]
         with (
-            running(__file__, "--camera", "--rate", str(options.rate), *best_effort),
-            running(
-                "-m", "fewcal_ros.node_command", "--ros-args", "--log-level", "error", *given, *override
-            ) as node,
+            running(__file__, "--camera", "--rate", str(options.rate), *best_effort, environment=profile),
+            running("-m", "fewcal_ros.node_command", "--ros-args", "--log-level", "error", *given) as node,
         ):
             program = RobotProgram()
             load(

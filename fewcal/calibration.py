@@ -19,8 +19,8 @@ from .map_estimator import estimate_map
 from .noise import Noise
 from .parametrisation import PixelModel, ScaleFree
 from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
-from .posterior import NAMES, determined_share, posterior, projection_std
-from .verdict import Evidence, Thresholds, Verdict, judge, tilt_deg
+from .posterior import NAMES, camera_posterior, determined_share, gaussian_covariance, projection_std
+from .verdict import Evidence, Thresholds, Verdict, extent, judge, tilt_deg
 from .views import View, stack_views
 from .zhu2020 import estimate_zhang, estimate_zhu2020
 
@@ -200,18 +200,19 @@ def _map_solution(found: Estimate, model: ScaleFree, priors: Priors) -> _Solutio
         fx, fy, cx, cy = natural[:4].tolist()
         camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
         coefficients = from_plumb_bob(camera)
-    rows = found.adjustment.rows(found.geometry, found.sigma)
-    width = max(model.image_size)
-    result = posterior(rows, found.adjustment.constraint(priors.mode(theta, width)[None])[1][0])
+    conflicts, _ = found.adjustment.constraint(theta[None])
+    result = camera_posterior(
+        found.adjustment, found.geometry, found.sigma, priors.rows(max(model.image_size))
+    )
     J = model.natural_jacobian(theta)
     return _Solution(
         camera,
         coefficients,
         0.0,
         found.sigma,
-        J @ result.covariance @ J.T,
-        {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)).items()},
-        _worst_by_name(np.abs(rows.prior)),
+        J @ result.covariance[:8, :8] @ J.T,
+        {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)[:8]).items()},
+        _worst_by_name(np.abs(conflicts[0])),
     )
 
 
@@ -222,10 +223,10 @@ def _pixel_solution(found: Estimate, model: PixelModel, size: tuple[int, int], p
     sigma = float(np.sqrt(Noise.of(found.adjustment.views, priors).variance(squares.sum(axis=1))[0]))
     covariance: Array | None = None
     if model.tangential:
-        result = posterior(found.adjustment.rows(found.geometry, 1.0))
+        of_theta = gaussian_covariance(found.adjustment.rows(found.geometry, 1.0))
         J = plumb_bob_jacobian(theta)
-        known = np.isfinite(result.covariance).all()
-        covariance = J @ result.covariance @ J.T * sigma**2 if known else np.full((8, 8), np.inf)
+        known = np.isfinite(of_theta).all()
+        covariance = J @ of_theta @ J.T * sigma**2 if known else np.full((8, 8), np.inf)
     camera = nearest_plumb_bob(theta[:5], coefficients, size)
     return _Solution(camera, coefficients, float(theta[4]), sigma, covariance, None, {})
 
@@ -257,7 +258,7 @@ def _result(
     covariance = solution.covariance
     evidence = Evidence(
         rotations=rotation,
-        extents=np.array([np.linalg.norm(np.ptp(v.image_points, axis=0)) for v in views]) / np.hypot(*size),
+        extents=np.array([extent(view.image_points, size) for view in views]),
         camera=solution.camera,
         image_size=size,
         sigma_px=solution.sigma_px,

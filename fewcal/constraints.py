@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InvalidInput
+from .scale_mixture import Tails
 
 Array = NDArray[np.float64]
 
@@ -165,14 +166,6 @@ class Priors:
         mean, sd = self.focal_px
         return Normal(math.log(mean / width), sd / mean)
 
-    def mode(self, theta: Array, width: float) -> Array:
-        """Most probable camera (8,) of the focal length of another one, as :meth:`rows` takes them."""
-        mode = np.array(
-            [theta[0], self.log_aspect.mean, self.principal_point_x.mean, self.principal_point_y.mean]
-        )
-        radial = self.radial.mean(theta[:1] - math.log(width))[0][0]
-        return np.concatenate([mode, radial, [self.tangential.mean] * 2])
-
     def rows(self, width: float) -> PriorRows:
         """Rows of all priors on the camera, for images whose longer side is `width` pixels."""
         return PriorRows.of(self, width)
@@ -238,14 +231,26 @@ class PriorRows:
         r : (B, 8), J : (B, 8, 8)
             In the order of :data:`PRIOR_ROWS`.
         """
-        x = theta[:, 0] - self.reference
-        z = (theta - self.mean) @ self.whiten.T + np.clip(x, -1, 1)[:, None] * self.slope
-        by_theta = np.repeat(self.whiten[None], len(theta), axis=0)
-        by_theta[:, 4:6, 0] = np.where(np.abs(x) < 1, 1.0, 0.0)[:, None] * self.slope[4:6]
+        z, by_theta = self._whitened(theta)
         gain, bend = _student_gain(z * z @ _TOGETHER, self.tail, _DIMENSION)
         by_z = (bend * z)[:, :, None] * z[:, None, :] * _TOGETHER
         by_z[:, np.arange(8), np.arange(8)] += gain
         return gain * z, by_z @ by_theta
+
+    def tails(self, theta: Array) -> Tails:
+        """See the priors as normal ones of unknown precision, at one camera (8,)."""
+        z, by_theta = self._whitened(theta[None])
+        with np.errstate(divide="ignore"):
+            nu = 1 / self.tail[_FIRST]
+        return Tails(z[0], by_theta[0], _GROUP, nu)
+
+    def _whitened(self, theta: Array) -> tuple[Array, Array]:
+        """Z of zero mean and unit scale (B, 8), and its derivative (B, 8, 8)."""
+        x = theta[:, 0] - self.reference
+        z = (theta - self.mean) @ self.whiten.T + np.clip(x, -1, 1)[:, None] * self.slope
+        by_theta = np.repeat(self.whiten[None], len(theta), axis=0)
+        by_theta[:, 4:6, 0] = np.where(np.abs(x) < 1, 1.0, 0.0)[:, None] * self.slope[4:6]
+        return z, by_theta
 
 
 _SINGLE = np.array([0, 1, 2, 3, 4, 4, 4, 5])
@@ -254,6 +259,10 @@ _TOGETHER = np.eye(8)
 """Which rows share one prior: the two radial terms do."""
 _TOGETHER[4:6, 4:6] = 1
 _DIMENSION = _TOGETHER.sum(axis=0)
+_GROUP = np.array([0, 1, 2, 3, 4, 4, 5, 6])
+"""The distribution that each row belongs to."""
+_FIRST = np.array([0, 1, 2, 3, 4, 6, 7])
+"""The first row of each distribution."""
 
 PRIOR_ROWS = (
     "focal length",

@@ -24,6 +24,8 @@ from .grid import local_axes
 from .saddle_points import Image
 
 Array = NDArray[np.float64]
+Pixels = NDArray[np.float32]
+"""Grey levels and what they are compared with: half the memory, and 24 bits are more than cameras have."""
 
 WINDOW_SHARE = 0.42
 """Half width of the window as a share of the square, each way: clear of the next edge with its blur."""
@@ -47,8 +49,6 @@ _ITERATIONS = 14
 _CONVERGED_PX = 3e-3
 """Steps of the location below this are far below its sd."""
 _PARAMETERS = 10
-_Pixel = np.float32
-"""Of grey levels and what they are compared with: half the memory, and 24 bits are more than cameras have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +134,9 @@ def _fit(image: Image, start: Array, axes: Array) -> tuple[Array, Array, Array]:
     return p, sigma, explained
 
 
-def _linearise(p: Array, x: Array, values: Array, weights: Array) -> tuple[Array, Array, Array]:
+def _linearise(p: Array, x: Pixels, values: Pixels, weights: Pixels) -> tuple[Array, Array, Array]:
     """Sum of squares (N,), normal matrix (N, 10, 10) and right side (N, 10) at given parameters."""
-    model, J = _model(p.astype(x.dtype), x)
+    model, J = _model(p.astype(np.float32), x)
     residual = (values - model) * weights
     J *= weights[:, None]  # 0 or 1, as good as its square
     cost = np.einsum("np,np->n", residual, residual, dtype=np.float64)
@@ -144,7 +144,7 @@ def _linearise(p: Array, x: Array, values: Array, weights: Array) -> tuple[Array
     return cost, normal.astype(np.float64), gradient.astype(np.float64)
 
 
-def _windows(image: Image, origin: Array, axes: Array) -> tuple[Array, Array, Array]:
+def _windows(image: Image, origin: Array, axes: Array) -> tuple[Pixels, Pixels, Pixels]:
     """Pixels around each corner: offsets (2, P), grey levels (N, P) and weights (N, P), 0 outside."""
     reach = WINDOW_SHARE * np.abs(axes).sum(axis=1).max()
     radius = int(np.clip(np.ceil(reach), MIN_RADIUS_PX, MAX_RADIUS_PX))
@@ -153,24 +153,24 @@ def _windows(image: Image, origin: Array, axes: Array) -> tuple[Array, Array, Ar
     row = origin[:, 1:].astype(np.intp) + dy
     height, width = image.shape
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    values = image[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)].astype(_Pixel)
-    x = np.stack([dx, dy]).astype(_Pixel)
+    values = image[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)].astype(np.float32)
+    x = np.stack([dx, dy]).astype(np.float32)
     # In units of squares along the two axes of the grid; never narrower than the least radius.
     length = np.linalg.norm(axes, axis=2)
     reach = np.clip(WINDOW_SHARE * length, MIN_RADIUS_PX, MAX_RADIUS_PX)
     unit = axes / np.maximum(length, 1e-9)[..., None]
     along = np.abs(np.swapaxes(np.linalg.pinv(unit), 1, 2) @ x)
-    return x, values, (inside & (along <= reach[..., None]).all(axis=1)).astype(_Pixel)
+    return x, values, (inside & (along <= reach[..., None]).all(axis=1)).astype(np.float32)
 
 
-def _initial(offset: Array, axes: Array, x: Array, values: Array, weights: Array) -> Array:
+def _initial(offset: Array, axes: Array, x: Pixels, values: Pixels, weights: Pixels) -> Array:
     """Start of the fit: c, two edge angles, two blurs, brightness, contrast, slope of the light."""
     p = np.zeros((len(offset), _PARAMETERS))
     p[:, :2] = offset
     p[:, 2:4] = np.arctan2(axes[..., 1], axes[..., 0])
     p[:, 4:6] = np.clip(0.08 * np.linalg.norm(axes, axis=2)[:, ::-1], 0.7, 2.0)
     p[:, 7] = 1.0
-    pattern, _ = _model(p.astype(x.dtype), x)
+    pattern, _ = _model(p.astype(np.float32), x)
     pixels = np.maximum(weights.sum(axis=1), 1)
     mean = np.sum(weights * values, axis=1) / pixels
     power = np.maximum(np.sum(weights * pattern**2, axis=1), 1e-9)
@@ -179,7 +179,7 @@ def _initial(offset: Array, axes: Array, x: Array, values: Array, weights: Array
     return p
 
 
-def _model(p: Array, x: Array) -> tuple[Array, Array]:
+def _model(p: Pixels, x: Pixels) -> tuple[Pixels, Pixels]:
     """Brightness (N, P) and its derivatives (N, 10, P) by the parameters."""
     c_x, c_y, angle, other_angle, blur, other_blur, a, b, g_x, g_y = p.T[..., None]
     dx, dy = x[0] - c_x, x[1] - c_y
@@ -191,7 +191,7 @@ def _model(p: Array, x: Array) -> tuple[Array, Array]:
     contrast = b * light
     by_E *= contrast * F  # derivatives of the brightness by the distances from the two edges
     by_F *= contrast * E
-    J = np.empty((len(p), _PARAMETERS, x.shape[1]), x.dtype)
+    J = np.empty((len(p), _PARAMETERS, x.shape[1]), np.float32)
     J[:, 0] = by_E * sin + by_F * other_sin - reflectance * g_x
     J[:, 1] = -by_E * cos - by_F * other_cos - reflectance * g_y
     J[:, 2] = -by_E * along
@@ -205,7 +205,9 @@ def _model(p: Array, x: Array) -> tuple[Array, Array]:
     return reflectance * light, J
 
 
-def _edge(dx: Array, dy: Array, angle: Array, blur: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+def _edge(
+    dx: Pixels, dy: Pixels, angle: Pixels, blur: Pixels
+) -> tuple[Pixels, Pixels, Pixels, Pixels, Pixels, Pixels]:
     """E and dE / d distance of one edge, position along it, distance in blurs, cos and sin of its angle."""
     # Imported here, since it takes longer than all of fewcal, and who has points already needs none of it.
     from scipy.special import erf

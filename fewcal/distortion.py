@@ -26,6 +26,9 @@ _NEWTON_STEPS = 50
 """Both inversions stop by themselves, in about 6 steps; this only bounds a sequence that does not."""
 _NEWTON_TOLERANCE = 1e-14
 """Relative step at which an inversion is as exact as a double can hold."""
+_NEWTON_SHRINKS, _NEWTON_NEAR = 0.75, 1e-6
+"""A Newton step is at most this share of the last one, or of the radius, where rounding decides; else the
+bracket is halved. Steps towards a fold shrink by half."""
 _FOLD_START = 0.9
 """Where the search starts, as a share of the fold radius, for a point that only p1 and p2 may have pushed
 beyond the fold. Any start from 0.8 to 0.98 finds the same rays in simulated lenses."""
@@ -281,16 +284,21 @@ def _undistort_radius(distorted: Array, coefficients: Array) -> Array:
             high = np.where(short, 2 * high, high)
         reachable = value(high) >= distorted
         r = np.minimum(distorted, high)
+        last = np.full_like(r, np.inf)
         for _ in range(_NEWTON_STEPS):
             r2 = r * r
             error = value(r) - distorted
             low, high = np.where(error < 0, r, low), np.where(error >= 0, r, high)
             slope = 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * 7 * k3))
             newton = r - error / np.where(slope > 0, slope, np.nan)
-            # At the ends of the bracket Newton has arrived, so the comparison admits them.
-            inside = (newton >= low) & (newton <= high)
+            step = np.abs(newton - r)
+            # At the ends of the bracket Newton has arrived, so the comparison admits them. Steps that do not
+            # shrink lead to and fro between two points.
+            shrinks = (step <= _NEWTON_SHRINKS * last) | (step <= _NEWTON_NEAR * r)
+            inside = (newton >= low) & (newton <= high) & shrinks
             following = np.where(inside, newton, (low + high) / 2)
-            moved = np.abs(following - r) > _NEWTON_TOLERANCE * following
+            last = np.abs(following - r)
+            moved = last > _NEWTON_TOLERANCE * following
             r = following
             if not moved.any():
                 break

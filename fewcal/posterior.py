@@ -1,7 +1,7 @@
 """What the views say about the camera, and how surely.
 
-The covariance comes from an orthogonal decomposition of the rows themselves, priors among them, with columns
-scaled to unit length. Inverting J'J instead would square the condition number, and a pseudo-inverse reports
+Covariances come from orthogonal decompositions of the rows themselves, priors among them, with columns scaled
+to unit length. Inverting J'J instead would square the condition number, and a pseudo-inverse reports
 zero for exactly what the data leave open.
 """
 
@@ -12,8 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .adjustment import Rows
+from .adjustment import Adjustment, Geometry, Rows
+from .board_bend import with_bend, with_bend_prior
 from .camera import Camera, project_jacobians
+from .constraints import PriorRows
+from .scale_mixture import Tails, moments
 
 Array = NDArray[np.float64]
 
@@ -22,39 +25,70 @@ NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 
 
 class Posterior(NamedTuple):
-    """Gaussian approximation of the posterior at the estimate.
+    """What is left open at the estimate.
 
     Attributes
     ----------
-    covariance : (S, S) of the camera's unknowns, poses marginalised
-    prior_covariance : (S, S) or None
-        What was known before the first view; None where that leaves an unknown free.
+    covariance : (S, S)
+        Second moment of the unknowns of :func:`camera_rows` about the estimate, poses marginalised.
+    prior_covariance : (S, S)
+        What was known before the first view, the precision of every prior at its mean.
+    views : (V, S, S)
+        Information of each view.
+    prior : (S, S)
+        Information of the priors at the mean of their precision, given the views.
     """
 
     covariance: Array
-    prior_covariance: Array | None
+    prior_covariance: Array
+    views: Array
+    prior: Array
 
 
-def posterior(rows: Rows, prior: Array | None = None) -> Posterior:
-    """Covariance of the camera from the rows of its linearisation.
+def posterior(rows: Rows, tails: Tails) -> Posterior:
+    """What the rows of a linearisation and heavy-tailed priors leave open.
 
-    Each view is reduced by its own QR decomposition to the rows that speak of the camera alone, so that the
-    work grows linearly with the number of views.
+    Each view is reduced by its own QR decomposition to the rows that speak of the shared unknowns alone, so
+    that the work grows linearly with the number of views.
 
     Parameters
     ----------
     rows : Rows
-    prior : (K, S), optional
-        Derivatives of the constraint rows at the prior's own mode. Far from it the rows of a heavy-tailed
-        prior are nearly flat, as if nothing had been known. Those of `rows` when left out.
+        Those of its priors are not looked at.
+    tails : Tails
     """
     reduced = camera_rows(rows)
-    constraint = rows.prior_by_camera
-    known = covariance_from_rows(constraint if prior is None else prior)
+    J, r = reduced[..., :-1], reduced[..., -1]
+    found = moments(J.reshape(-1, J.shape[-1]), r.ravel(), tails)
+    prior = tails.by_unknowns
     return Posterior(
-        covariance_from_rows(np.concatenate([reduced.reshape(-1, reduced.shape[-1]), constraint])),
-        known if np.isfinite(known).all() else None,
+        found.covariance,
+        covariance_from_rows(prior),
+        np.swapaxes(J, -1, -2) @ J,
+        prior.T @ (found.precision[:, None] * prior),
     )
+
+
+def camera_posterior(problem: Adjustment, geometry: Geometry, sigma: float, priors: PriorRows) -> Posterior:
+    """What some views leave open of a camera and of the bend of their board.
+
+    Parameters
+    ----------
+    problem : Adjustment
+    geometry : Geometry
+        The estimate, a batch of one.
+    sigma : float
+        Standard deviation of an image point of weight 1, pixels.
+    priors : PriorRows
+    """
+    rows = with_bend(problem.rows(geometry, sigma), problem.views.points)
+    return posterior(rows, with_bend_prior(priors.tails(geometry.theta[0])))
+
+
+def gaussian_covariance(rows: Rows) -> Array:
+    """Covariance (S, S) of the camera from the rows of its linearisation, those of the priors among them."""
+    J = camera_rows(rows)[..., :-1]
+    return covariance_from_rows(np.concatenate([J.reshape(-1, J.shape[-1]), rows.prior_by_camera]))
 
 
 def camera_rows(rows: Rows) -> Array:
@@ -62,11 +96,11 @@ def camera_rows(rows: Rows) -> Array:
 
     Returns
     -------
-    (V, S, S) upper triangular rows whose J'J is the information of that view about the camera, at most S of
-    them independent.
+    (V, S + 1, S + 1) upper triangular rows, the residual in the last column. J'J of the others is the
+    information of that view about the S unknowns that all views share.
     """
-    pose_count, size = rows.by_pose.shape[-1], rows.by_camera.shape[-1]
-    stacked = np.concatenate([rows.by_pose, rows.by_camera], axis=-1)
+    pose_count, size = rows.by_pose.shape[-1], rows.by_camera.shape[-1] + 1
+    stacked = np.concatenate([rows.by_pose, rows.by_camera, rows.r[..., None]], axis=-1)
     length = np.linalg.norm(stacked, axis=1, keepdims=True)
     length = np.where(length > 0, length, 1)
     missing = pose_count + size - stacked.shape[1]
@@ -92,8 +126,6 @@ def covariance_from_rows(rows: Array) -> Array:
 
 def determined_share(result: Posterior) -> Array:
     """For each unknown the share that the data determined: 1 - posterior variance / prior variance, (S,)."""
-    if result.prior_covariance is None:
-        return np.ones(len(result.covariance))
     share = 1 - np.diagonal(result.covariance) / np.diagonal(result.prior_covariance)
     return np.clip(share, 0, 1)
 

@@ -19,7 +19,7 @@ from .calibration import Calibration
 from .camera import project_jacobians
 from .constraints import Priors
 from .parametrisation import ScaleFree
-from .posterior import camera_rows
+from .posterior import camera_posterior
 from .views import View, stack_views
 
 Array = NDArray[np.float64]
@@ -38,9 +38,10 @@ class Information:
 
     Attributes
     ----------
-    views : (V, 8, 8) information matrices, poses eliminated
-    prior : (8, 8)
-    spread : (8, 8)
+    views : (V, S, S) information matrices of camera and bend of the board, poses eliminated
+    prior : (S, S)
+        Of the widths of the heavy-tailed priors that all the views together suggest.
+    spread : (S, S)
         trace(`spread` C) is the mean squared projection error over the image for a covariance C, px^2.
     """
 
@@ -83,10 +84,13 @@ def information(calibration: Calibration, priors: Priors = Priors()) -> Informat
     poses = np.stack(calibration.board_poses)
     rotation = poses[:, :3, :3]
     position = (rotation @ stack.centroid[..., None])[..., 0] + poses[:, :3, 3]
-    problem = Adjustment(stack, model, priors.rows(max(calibration.image_size)))
-    rows = problem.rows(Geometry(theta, (rotation @ stack.plane)[None], position[None]), calibration.sigma_px)
-    reduced, prior = camera_rows(rows), rows.prior_by_camera
-    return Information(np.swapaxes(reduced, -1, -2) @ reduced, prior.T @ prior, _spread(model, theta[0]))
+    known = priors.rows(max(calibration.image_size))
+    problem = Adjustment(stack, model, known)
+    geometry = Geometry(theta, (rotation @ stack.plane)[None], position[None])
+    found = camera_posterior(problem, geometry, calibration.sigma_px, known)
+    spread = np.zeros_like(found.prior)
+    spread[:8, :8] = _spread(model, theta[0])
+    return Information(found.views, found.prior, spread)
 
 
 def best_subset(known: Information, count: int) -> tuple[int, ...]:

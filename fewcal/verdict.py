@@ -19,6 +19,9 @@ from .distortion import surely_invertible
 Array = NDArray[np.float64]
 
 
+_DIRECTIONS = 32
+
+
 @dataclass(frozen=True)
 class Thresholds:
     """Where usable ends.
@@ -32,7 +35,7 @@ class Thresholds:
     plane_angle_deg : float
         Boards nearer to parallel with each other count as one view.
     board_extent : float
-        Smallest diagonal of a view's points, as a share of the image diagonal.
+        Smallest :func:`extent` of a view's points.
     sigma_px : float
         Largest standard deviation of an image point, pixels: no board is that uneven, nor any lens.
     conflict : float
@@ -72,7 +75,7 @@ class Evidence:
     Attributes
     ----------
     rotations : (V, 3, 3) from board to camera
-    extents : (V,) diagonal of each view's points over the image diagonal
+    extents : (V,) of each view, see :func:`extent`
     camera : Camera
     image_size : (width, height), pixels
     sigma_px : float
@@ -109,7 +112,7 @@ def degeneracies(rotations: Array, extents: Array, thresholds: Thresholds = Thre
     Parameters
     ----------
     rotations : (V, 3, 3) from board to camera
-    extents : (V,) diagonal of each view's points over the image diagonal
+    extents : (V,) of each view, see :func:`extent`
     thresholds : Thresholds
     """
     tilts = tilt_deg(rotations)
@@ -131,6 +134,17 @@ def tilt_deg(rotations: Array) -> Array:
     """Angle between board and image plane, degrees, of (..., 3, 3) rotations from board to camera."""
     angles: Array = np.degrees(np.arccos(np.clip(np.abs(rotations[..., 2, 2]), 0, 1)))
     return angles
+
+
+def extent(pixels: Array, image_size: tuple[int, int]) -> float:
+    """Largest distance between two of some pixels (N, 2), over the diagonal of the image.
+
+    Unlike the box around them it does not grow when the board is turned in the image. The points are looked
+    at from 32 directions, which see all but 0.1 % of it.
+    """
+    angles = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
+    seen = np.ptp(pixels @ np.stack([np.cos(angles), np.sin(angles)]), axis=0).max()
+    return float(seen) / math.hypot(*image_size)
 
 
 def folds_inside(camera: Camera, image_size: tuple[int, int]) -> bool:

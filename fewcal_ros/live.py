@@ -32,7 +32,7 @@ CAPTURE_TIMEOUT_S = 5.0
 """How long a capture waits for its image: the slowest cameras in use take one every second or two."""
 GLANCE_PERIOD_S = 0.2
 """How often to look at an image that nobody needs, so that the state tells what the camera sees."""
-JOIN_TIMEOUT_S = 1.5
+JOIN_TIMEOUT_S = 1.0
 """How long closing waits for the image being looked at: within the two seconds in which the node must end."""
 
 

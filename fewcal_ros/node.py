@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,7 +11,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import (
@@ -43,16 +41,11 @@ from .outgoing import (
     image_message,
 )
 from .parameters import declare_parameters
-from .signals import Wait, until_signal
+from .signals import until_signal
+from .spinning import run
 
-ENDED, BAD_INPUT, FAILED = 0, 2, 1
-"""Exit codes: ended by a signal as asked; a parameter or argument cannot be used; anything else."""
-THREADS = 8
-"""One for each callback group that can be busy at once: three that may wait in services, and the others."""
-SHUTDOWN_S = 1.0
-"""How long the callbacks that still run may take to end."""
-POLL_S = 0.2
-"""How often to see whether the executor has failed."""
+BAD_INPUT = 2
+"""Exit code when a parameter or argument cannot be used."""
 SWITCH_INTERVAL_S = 1e-3
 """After so long a thread that computes lets another one have the interpreter: an answer of a service changes
 threads several times, and would wait Python's usual 5 ms for each."""
@@ -357,33 +350,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             node = CalibrationNode()
         except FewcalError as error:
             return _fail(str(error))
-        return _run(node, wait)
-
-
-def _run(node: CalibrationNode, wait: Wait) -> int:
-    """Serve until asked to end, then wind up; returns the exit code."""
-    executor = MultiThreadedExecutor(THREADS)
-    executor.add_node(node)
-    failures: list[Exception] = []
-
-    def spin() -> None:
-        try:
-            executor.spin()
-        except Exception as error:
-            failures.append(error)
-
-    spinner = threading.Thread(target=spin, name="fewcal executor")
-    spinner.start()
-    while spinner.is_alive() and not wait(POLL_S):
-        pass
-    node.close()
-    executor.shutdown(SHUTDOWN_S)
-    spinner.join(SHUTDOWN_S)
-    node.destroy_node()
-    rclpy.shutdown()
-    for failure in failures:
-        print(f"fewcal_node: {type(failure).__name__}: {failure}", file=sys.stderr)
-    return FAILED if failures else ENDED
+        return run(node, wait)
 
 
 def _fail(sentence: str) -> int:

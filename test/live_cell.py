@@ -189,12 +189,17 @@ class Cell:
     def start_node(self, *arguments: str, **parameters: Any) -> Process:
         given = {"board": BOARD} | {name.replace("__", "."): value for name, value in parameters.items()}
         options = [f"{name}:={json.dumps(value)}" for name, value in given.items()]
-        command = [sys.executable, "-m", "fewcal_ros.node", "--ros-args", *arguments]
+        command = [sys.executable, "-m", "fewcal_ros.node_command", "--ros-args", *arguments]
         process = Process(
             [*command, *(part for option in options for part in ("-p", option))], self.environment
         )
         self.stack.callback(process.end, signal.SIGTERM)
         return process
+
+    def reliability(self, topic: str) -> set[ReliabilityPolicy]:
+        """Reliability of everybody who subscribes to a topic."""
+        subscribers = self.client.node.get_subscriptions_info_by_topic(topic)
+        return {subscriber.qos_profile.reliability for subscriber in subscribers}
 
     def start_camera(
         self, recording: str = "wrist.bag", topic: str = "/image", reliable: bool = True

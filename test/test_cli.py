@@ -202,7 +202,7 @@ def test_the_wrong_board_size_is_named(run: Any, flat_image: str) -> None:
 @pytest.mark.parametrize(
     ("options", "views"),
     [
-        (["--views", "1"], 1),
+        (["--views", "1", "--max-focal-std", "0.05"], 1),
         (["--views", "all"], 3),
         (["--views", "7"], 3),
         (["--select", "first"], 2),

@@ -151,6 +151,20 @@ def test_each_row_speaks_of_what_it_is_named_after(column: int) -> None:
     assert changed == {names[column]} | ({"radial distortion"} if column == 0 else set())
 
 
+def test_tails_are_the_rows_before_the_gain_of_their_heavy_tails() -> None:
+    theta = np.array([6.8, 0.004, 0.03, -0.02, -0.3, 0.2, 0.004, -0.001])
+    rows = Priors().rows(1280.0)
+    tails = rows.tails(theta)
+    np.testing.assert_array_equal(tails.nu, [np.inf, 2, 3, 3, 2.5, 1.25, 1.25])
+    np.testing.assert_array_equal(tails.group, [0, 1, 2, 3, 4, 4, 5, 6])
+    assert_derivative(tails.by_unknowns, differences(lambda x: rows.tails(x).z, theta, 1e-6), 1e-6)
+    r, _ = rows(theta[None])
+    together = np.bincount(tails.group, tails.z**2)
+    dimension, nu = np.bincount(tails.group), np.where(np.isinf(tails.nu), 1e12, tails.nu)
+    expected = (nu + dimension) * np.log1p(together / nu)
+    np.testing.assert_allclose(np.bincount(tails.group, r[0] ** 2), expected, rtol=1e-3)
+
+
 def test_the_users_own_focal_length_replaces_the_prior() -> None:
     theta = np.zeros((3, 8))
     theta[:, 0] = np.log([1200.0, 1212.0, 1188.0])

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 from live_cell import BAGS, BOARD, LOSSLESS, TIMEOUT_S, Cell, Process, robot_cell, wait_until
+from machine import crowding
+from rclpy.qos import ReliabilityPolicy
 from ros_domain import own_domain
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -20,6 +22,7 @@ from fewcal.boards import parse_board
 from fewcal.camera_info import read_camera_info, write_camera_info
 from fewcal_ros.frames import open_frames
 from fewcal_ros.live import CAPTURE_TIMEOUT_S
+from fewcal_ros.node import DIAGNOSTICS_PERIOD_S
 from fewcal_ros.offline import Settings, calibrate_frames
 
 TRUTH = json.loads((BAGS / "truth.json").read_text())
@@ -42,9 +45,9 @@ def assert_ends_well(node: Process, number: int) -> None:
     code, took = node.end(number)
     errors = "".join(node.err)
     assert code == 0, errors
-    assert took < 2
+    assert took < 2 * crowding()
     assert "Traceback" not in errors
-    assert "Exception" not in errors
+    assert "exception" not in errors.lower()
 
 
 def capture_when_still(cell: Cell) -> str:
@@ -122,6 +125,32 @@ class TestByItself:
         camera.tell(hold=STILL[6])
         values = cell.client.wait_for(level="OK", complete="yes")
         assert int(values["images received"]) > 0
+
+    def test_the_subscription_is_as_reliable_as_the_drivers_are(self, cell):
+        cell.start_node(queue_size=100)
+        cell.client.wait_for(views="0")
+        assert cell.reliability("/image") == {ReliabilityPolicy.BEST_EFFORT}
+        camera = cell.start_camera(reliable=True)
+        camera.tell(hold=EMPTY)
+        wait_until(lambda: cell.reliability("/image") == {ReliabilityPolicy.RELIABLE}, "a reliable one")
+        camera.tell(hold=None)
+        time.sleep(1.5)  # what was under way has arrived and been told
+        before = int(cell.client.values()["images received"])
+        camera.tell(play=[EMPTY] * 20)
+        cell.client.wait_for(images_received=str(before + 20), images_lost="0")
+
+        other = cell.start_camera(reliable=False)
+        other.tell(hold=STILL[3])
+        cell.client.wait_for(views="1")
+        assert cell.reliability("/image") == {ReliabilityPolicy.BEST_EFFORT}
+
+    def test_an_override_of_the_reliability_is_kept(self, cell):
+        cell.start_node("-p", "qos_overrides./image.subscription.reliability:=best_effort")
+        camera = cell.start_camera(reliable=True)
+        camera.tell(hold=STILL[3])
+        cell.client.wait_for(views="1")
+        time.sleep(2 * DIAGNOSTICS_PERIOD_S)
+        assert cell.reliability("/image") == {ReliabilityPolicy.BEST_EFFORT}
 
     def test_camera_info_is_in_step_with_the_images_on_request(self, cell):
         cell.start_node(
@@ -323,7 +352,7 @@ class TestState:
                 input=f"{w}x{h} {encoding} in frame {frame!r}", input_changes=str(changes)
             )
             assert "call ~/reset" in values["last input change"]
-        assert sum("The images have changed" in line for line in node.err) == 3
+        wait_until(lambda: sum("The images have changed" in line for line in node.err) == 3, "warnings")
         camera.tell(blank=[96, 48, "strange", "b"])
         values = cell.client.wait_for(level="ERROR", images_unreadable="1")
         assert "The image encoding 'strange' is not supported" in values["message"]

@@ -5,19 +5,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scenes import CAMERA, SIZE, differences
+from scenes import CAMERA, SIZE, differences, noisy, views_at
 
 from fewcal.adjustment import Rows
 from fewcal.camera import Camera
+from fewcal.constraints import Priors
+from fewcal.map_estimator import estimate_map
 from fewcal.posterior import (
     NAMES,
     Posterior,
+    camera_posterior,
     camera_rows,
     covariance_from_rows,
     determined_share,
+    gaussian_covariance,
     posterior,
     projection_std,
 )
+from fewcal.scale_mixture import Tails
+from fewcal.views import stack_views
 
 Array = NDArray[np.float64]
 
@@ -96,51 +102,81 @@ def test_what_no_row_holds_is_infinitely_uncertain(J: Array) -> None:
 def test_camera_rows_hold_the_schur_complement_of_each_view(seed: int) -> None:
     rows = random_rows(seed)
     reduced = camera_rows(rows)
-    assert reduced.shape == (3, 8, 8)
+    assert reduced.shape == (3, 9, 9)
     for v in range(3):
-        A, P = rows.by_camera[v], rows.by_pose[v]
+        A, P = np.column_stack([rows.by_camera[v], rows.r[v]]), rows.by_pose[v]
         expected = A.T @ A - A.T @ P @ inverse(P.T @ P) @ P.T @ A
         assert_alike(reduced[v].T @ reduced[v], expected)
 
 
 @pytest.mark.parametrize("points", [4, 6, 7, 12])
-def test_posterior_is_the_camera_block_of_the_whole_covariance(points: int) -> None:
+def test_gaussian_covariance_is_the_camera_block_of_the_whole_covariance(points: int) -> None:
     rows = random_rows(5, points=points)
     J = dense(rows)
-    assert_alike(posterior(rows).covariance, inverse(J.T @ J)[:8, :8], 1e-6)
+    assert_alike(gaussian_covariance(rows), inverse(J.T @ J)[:8, :8], 1e-6)
 
 
-def test_prior_covariance_is_that_of_the_priors_alone_when_they_hold_everything() -> None:
-    rows = random_rows(6)
-    prior = posterior(rows).prior_covariance
-    assert prior is not None
+def at_the_mode(rows: Rows, nu: float) -> tuple[Rows, Tails]:
+    """Residuals of nothing, and the priors of the rows as heavy-tailed ones."""
+    count = len(rows.prior)
+    tails = Tails(np.zeros(count), rows.prior_by_camera, np.arange(count), np.full(count, nu))
+    return rows._replace(r=np.zeros_like(rows.r), prior=np.zeros(count)), tails
+
+
+def test_posterior_with_normal_priors_is_the_gaussian_one() -> None:
+    rows, tails = at_the_mode(random_rows(6), np.inf)
+    found = posterior(rows, tails)
+    assert_alike(found.covariance, gaussian_covariance(rows), 1e-6)
     K = rows.prior_by_camera
-    assert_alike(prior, inverse(K.T @ K), 1e-6)
-    assert posterior(random_rows(6, priors=3)).prior_covariance is None
+    assert_alike(found.prior_covariance, inverse(K.T @ K), 1e-6)
+    assert_alike(found.covariance, inverse(found.prior + found.views.sum(axis=0)), 1e-6)
 
 
-def test_a_view_that_says_nothing_leaves_the_prior() -> None:
-    rows = random_rows(7)
+def test_a_posterior_away_from_the_mode_counts_the_distance() -> None:
+    rows, tails = at_the_mode(random_rows(6), np.inf)
+    off = posterior(random_rows(6), tails).covariance - posterior(rows, tails).covariance
+    values = np.linalg.eigvalsh(off / np.sqrt(np.outer(np.diagonal(off), np.diagonal(off))))
+    np.testing.assert_allclose(values, [0] * 7 + [8], atol=1e-6)
+
+
+def test_a_view_that_says_nothing_determines_nothing() -> None:
+    rows, tails = at_the_mode(random_rows(7), 2.0)
     silent = rows._replace(by_camera=np.zeros_like(rows.by_camera), by_pose=np.zeros_like(rows.by_pose))
-    result = posterior(silent)
-    assert result.prior_covariance is not None
-    assert_alike(result.covariance, result.prior_covariance)
-    np.testing.assert_allclose(determined_share(result), 0, atol=1e-9)
+    result = posterior(silent, tails)
+    assert (np.diagonal(result.covariance) > np.diagonal(result.prior_covariance)).all()
+    np.testing.assert_array_equal(determined_share(result), 0)
 
 
 @given(st.integers(0, 10_000))
 def test_determined_share_lies_between_nothing_and_everything(seed: int) -> None:
-    share = determined_share(posterior(random_rows(seed)))
+    share = determined_share(posterior(*at_the_mode(random_rows(seed), 2.0)))
     assert share.shape == (8,)
-    assert ((share > 0) & (share <= 1)).all()
+    assert ((share >= 0) & (share <= 1)).all()
 
 
 def test_determined_share_is_the_variance_that_the_data_removed() -> None:
-    result = Posterior(np.diag([1.0, 4.0]), np.diag([4.0, 4.0]))
+    nothing = np.zeros((0, 2, 2))
+    result = Posterior(np.diag([1.0, 4.0]), np.diag([4.0, 4.0]), nothing, np.zeros((2, 2)))
     np.testing.assert_allclose(determined_share(result), [0.75, 0])
-    np.testing.assert_array_equal(determined_share(result._replace(prior_covariance=None)), [1, 1])
-    # A variance that rounding has made larger than the prior's.
-    np.testing.assert_array_equal(determined_share(Posterior(np.eye(1) * (1 + 1e-12), np.eye(1))), [0])
+    # A variance that the tails have made larger than the prior's.
+    np.testing.assert_array_equal(determined_share(result._replace(covariance=np.diag([1.0, 9]))), [0.75, 0])
+
+
+# --- camera and board --------------------------------------------------------------------------------------
+
+
+def test_an_estimate_leaves_more_open_than_its_curvature_says() -> None:
+    views = stack_views(noisy(views_at((40.0, 20.0)), 0.2, 1))
+    found = estimate_map(views, SIZE, Priors())
+    priors = Priors().rows(max(SIZE))
+    result = camera_posterior(found.adjustment, found.geometry, found.sigma, priors)
+    assert result.covariance.shape == (10, 10)
+    laplace = gaussian_covariance(found.adjustment.rows(found.geometry, found.sigma))
+    ratio = np.sqrt(np.diagonal(result.covariance)[:8] / np.diagonal(laplace))
+    assert ((ratio > 1) & (ratio < 6)).all()
+    # The tails of the priors add something to what the mean of their precisions leaves.
+    typical = inverse(result.prior + result.views.sum(axis=0))
+    assert np.sqrt(result.covariance[0, 0] / typical[0, 0]) == pytest.approx(1.2, abs=0.2)
 
 
 # --- projection error --------------------------------------------------------------------------------------

@@ -254,7 +254,7 @@ def test_a_usable_camera_does_not_wait_for_a_view_that_tells_much_more() -> None
     # Real boards are never as flat as the noise model says, so that a second view may promise little.
     demanding = Criteria(max_error_ratio=0.05)
     session = Session(BOARD, criteria=demanding)
-    reasons = [session.add(image).reason for image in (shown(50.0, 10.0), shown(42.0, 20.0))]
+    reasons = [session.add(image).reason for image in (shown(60.0, 10.0), shown(42.0, 20.0))]
     assert reasons == ["kept", "kept"]
     assert session.complete
     unusable = Session(BOARD, criteria=demanding)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scenes import CAMERA, SIZE, pose
 
 from fewcal.camera import Camera
-from fewcal.verdict import Evidence, Thresholds, Verdict, degeneracies, folds_inside, judge, tilt_deg
+from fewcal.verdict import Evidence, Thresholds, Verdict, degeneracies, extent, folds_inside, judge, tilt_deg
 
 Array = NDArray[np.float64]
 
@@ -119,6 +119,14 @@ def test_reasons_add_up() -> None:
 )
 def test_sound_arrangements(arrangement: tuple[tuple[float, ...], ...], extents: tuple[float, ...]) -> None:
     assert list(degeneracies(rotations(*arrangement), np.array(extents))) == []
+
+
+@pytest.mark.parametrize("roll_deg", [0, 17, 45, 90, 133])
+def test_extent_is_the_largest_distance_of_two_points_however_the_board_is_turned(roll_deg: float) -> None:
+    c, s = np.cos(np.radians(roll_deg)), np.sin(np.radians(roll_deg))
+    grid = np.stack(np.meshgrid(np.arange(9.0), np.arange(6.0)), axis=-1).reshape(-1, 2)
+    pixels = 20 * grid @ np.array([[c, s], [-s, c]]) + 300
+    assert extent(pixels, (1200, 900)) == pytest.approx(20 * np.hypot(8, 5) / 1500, rel=1.3e-3)
 
 
 def test_half_a_turn_is_the_ambiguity_of_the_board_and_no_motion() -> None:

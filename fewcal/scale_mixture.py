@@ -1,0 +1,158 @@
+"""Heavy-tailed priors without a Gaussian approximation at the mode.
+
+A t distribution is a normal one whose precision lambda is unknown, chi-squared over its degrees of freedom.
+Given the precisions of all priors everything is normal, the linearised data too, so that the posterior is an
+average of normal distributions over a few precisions, weighted by how likely the data make them
+(Rao-Blackwell). The curvature at the mode alone would call a prior of scale s as narrow as
+s sqrt(nu / (nu + 1)), and far from its centre as wide as one likes.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+POINTS = 128
+"""Sets of precisions averaged over."""
+_TABLE = 4096
+"""Points of the table that inverts a gamma distribution."""
+
+
+class Tails(NamedTuple):
+    """Priors as normal rows of unknown precision, S unknowns in K rows of G distributions.
+
+    Attributes
+    ----------
+    z : (K,)
+        Distance from the centre in scales, at the estimate.
+    by_unknowns : (K, S)
+    group : (K,) of int
+        To which distribution a row belongs; rows of one share its precision.
+    nu : (G,)
+        Degrees of freedom; infinite for a normal distribution, whose precision is 1.
+    """
+
+    z: Array
+    by_unknowns: Array
+    group: NDArray[np.intp]
+    nu: Array
+
+
+class Moments(NamedTuple):
+    """What is left of the unknowns about the estimate.
+
+    Attributes
+    ----------
+    covariance : (S, S)
+        Second moment about the estimate rather than about the mean, so that it is the error of the estimate
+        that it tells; infinite where nothing holds an unknown.
+    precision : (K,)
+        Mean precision of each row of the priors.
+    """
+
+    covariance: Array
+    precision: Array
+
+
+def moments(J: Array, r: Array, tails: Tails) -> Moments:
+    """Average over the precisions of the priors.
+
+    Parameters
+    ----------
+    J : (M, S), r : (M,)
+        Rows of the data in units of their standard deviation, linear in the step from the estimate.
+    tails : Tails
+    """
+    counts = np.bincount(tails.group, minlength=len(tails.nu))
+    squares = np.asarray(np.bincount(tails.group, tails.z**2, len(tails.nu)), dtype=np.float64)
+    precisions, expected, log_weight = _proposals(tails.nu, counts.astype(float), squares)
+    near = np.sqrt(expected[tails.group])
+    T, inverse, y = _reference(
+        np.concatenate([J, near[:, None] * tails.by_unknowns]), np.concatenate([r, near * tails.z])
+    )
+    if not np.isfinite(inverse).all():
+        return Moments(np.full(T.shape, np.inf), near**2)
+    # In e = T step + y, where the reference is a unit normal, all other precisions are well-conditioned too.
+    W = tails.by_unknowns @ inverse
+    z = tails.z - W @ y
+    more = (precisions - expected)[:, tails.group]
+    outer = (W[:, :, None] * W[:, None, :]).reshape(len(W), -1)
+    information = (more @ outer).reshape(-1, *T.shape) + np.eye(len(T))
+    covariance = np.linalg.inv(information)
+    gradient = (more * z) @ W
+    e = -(covariance @ gradient[..., None])[..., 0]
+    log_weight = log_weight - 0.5 * (
+        np.linalg.slogdet(information)[1] + (e * gradient).sum(axis=1) + more @ z**2
+    )
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    off = e - y
+    second = np.tensordot(weight, covariance, 1) + (weight[:, None] * off).T @ off
+    return Moments(inverse @ second @ inverse.T, (weight @ precisions)[tails.group])
+
+
+def _proposals(nu: Array, counts: Array, squares: Array) -> tuple[Array, Array, Array]:
+    """Precisions (M, G), their expectation (G,), and the logarithm of their weight without data (M,).
+
+    They are drawn half-way between the prior, Gamma(nu / 2, rate nu / 2), and the conditional at the
+    estimate, Gamma((nu + d) / 2, rate (nu + |z|^2) / 2).
+    """
+    heavy = np.isfinite(nu)
+    precisions, expected = np.ones((POINTS, len(nu))), np.ones(len(nu))
+    nu, counts, squares = nu[heavy], counts[heavy], squares[heavy]
+    shape, rate = nu / 2 + counts / 4, nu / 2 + squares / 4
+    drawn = _gamma_points(tuple(shape.tolist())) / rate
+    precisions[:, heavy], expected[heavy] = drawn, shape / rate
+    # Density of the prior over that of the proposal, times the normalisation of the normal rows.
+    return precisions, expected, np.log(drawn) @ (counts / 4) + drawn @ (squares / 4)
+
+
+def _reference(J: Array, r: Array) -> tuple[Array, Array, Array]:
+    """Triangle T (S, S) of J = Q T, its inverse, and Q'r; an infinite inverse where T is singular."""
+    size = J.shape[1]
+    length = np.linalg.norm(J, axis=0)
+    held = bool(np.all(length > 0)) and len(J) >= size
+    length = np.where(length > 0, length, 1)
+    Q, T = np.linalg.qr(J / length)
+    held = held and bool(np.abs(np.diagonal(T)).min() > np.finfo(float).eps * len(J))
+    inverse = np.linalg.inv(T) / length[:, None] if held else np.full((size, size), np.inf)
+    return T * length, inverse, Q.T @ r
+
+
+@lru_cache(maxsize=16)
+def _gamma_points(shapes: tuple[float, ...]) -> Array:
+    """Quantiles (M, G) of gamma distributions of rate 1 at points spread evenly over the unit cube."""
+    points = _even_points(POINTS, len(shapes))
+    columns = [gamma_quantile(points[:, i], shape) for i, shape in enumerate(shapes)]
+    quantiles = np.stack(columns, axis=-1) if columns else np.empty((POINTS, 0))
+    quantiles.setflags(write=False)
+    return quantiles
+
+
+def _even_points(count: int, dimension: int) -> Array:
+    """Additive recurrence of the generalised golden ratio, the root of x^(d + 1) = x + 1 (Roberts 2018)."""
+    ratio = 2.0
+    for _ in range(60):
+        ratio = (1 + ratio) ** (1 / (dimension + 1))
+    steps = ratio ** -np.arange(1.0, dimension + 1)
+    points: Array = (0.5 + np.arange(1, count + 1)[:, None] * steps) % 1
+    return points
+
+
+def gamma_quantile(share: Array, shape: float) -> Array:
+    """Invert the distribution function of Gamma(`shape`, rate 1), to 1e-3 of its value.
+
+    The density of t = ln x, exp(shape t - e^t), is smooth whatever the shape, so that sums integrate it.
+    """
+    highest = np.log(shape + 20 * np.sqrt(shape) + 40)
+    t = np.linspace(np.log(shape + 1) - 4 - 40 / shape, highest, _TABLE)
+    log_density = shape * t - np.exp(t)
+    density = np.exp(log_density - log_density.max())
+    below = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2)])
+    quantile: Array = np.exp(np.interp(share, below / below[-1], t))
+    return quantile

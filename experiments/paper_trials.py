@@ -19,7 +19,7 @@ import fewcal
 from fewcal.adjustment import Adjustment, Geometry
 from fewcal.constraints import Normal, Priors
 from fewcal.parametrisation import ScaleFree
-from fewcal.posterior import posterior
+from fewcal.posterior import gaussian_covariance
 from fewcal.views import View, stack_views
 from fewcal.virtual_camera import (
     FIGURE_12_CAMERA,
@@ -189,7 +189,7 @@ def focal_bounds(camera: VirtualCamera, trial: Trial) -> Array:
 
     def bound(constraint: Callable[[Array], tuple[Array, Array]]) -> float:
         rows = Adjustment(stack, model, constraint).rows(at, ROUNDING_PX)
-        return math.sqrt(posterior(rows).covariance[0, 0])
+        return math.sqrt(gaussian_covariance(rows)[0, 0])
 
     width = max(camera.image_size)
     vague = Priors(log_focal_over_width=Normal(0.0, VAGUE))

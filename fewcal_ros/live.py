@@ -159,6 +159,8 @@ class LiveCalibration:
         """
         future: Future[Decision] = Future()
         with self._lock:
+            if self._mailbox.closed:
+                raise Refused("The node is ending.")
             if self._request is not None:
                 raise Refused("Another capture is waiting for its image; call again when it has it.")
             number = self._mailbox.received

@@ -8,6 +8,7 @@ else (a reset, say) was first, and the work is thrown away. So no lock is held w
 from __future__ import annotations
 
 import copy
+import importlib
 import threading
 import time
 import traceback
@@ -268,6 +269,9 @@ class LiveCalibration:
     # What the worker does.
 
     def _work(self) -> None:
+        # What detection imports when it is first used takes half a second, which no capture should wait for.
+        for module in ("scipy.sparse.csgraph", "scipy.spatial", "scipy.special"):
+            importlib.import_module(module)
         while (letter := self._mailbox.take()) is not None:
             start = time.monotonic()
             try:

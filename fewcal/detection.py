@@ -17,6 +17,7 @@ The order of the corners is that of ``Chessboard.points``, and it is always the 
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,6 +84,12 @@ class Detection:
     def sharpness(self) -> float:
         """Inverse of the edge width, per pixel: 0.5 is sharp, 0.1 is out of focus or in motion."""
         return 1 / self.edge_width_px
+
+
+def prepare() -> None:
+    """Import at once what the first detection would import, for programs that somebody waits for."""
+    for module in ("scipy.sparse.csgraph", "scipy.spatial", "scipy.special"):
+        importlib.import_module(module)
 
 
 def detect(image: NDArray[Any], board: Chessboard, source: str = "", stamp_ns: int | None = None) -> View:

@@ -47,11 +47,12 @@ def judge_health(status: Status) -> tuple[Level, str]:
         seen = status.last.decision.message if status.last and status.last.decision else ""
         count = f"{len(status.views)} of {status.parameters.views_required} views"
         return Level.WARN, f"{count}, {focal_text(status.estimate)}. {seen}".strip()
+    if status.result.calibration.views != status.views:
+        known = f"{len(status.views)} views now, {focal_text(status.estimate)}"
+        return Level.WARN, f"The views have changed since the calibration; call ~/calibrate. {known}."
     verdict = status.result.calibration.verdict
     if not verdict.usable:
         return Level.WARN, "Not usable: " + " ".join(verdict.reasons)
-    if status.result.calibration.views != status.views:
-        return Level.WARN, "The views have changed since the calibration; call ~/calibrate."
     return Level.OK, f"Calibrated and usable: {focal_text(status.result.calibration)}."
 
 

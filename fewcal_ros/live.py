@@ -8,7 +8,6 @@ else (a reset, say) was first, and the work is thrown away. So no lock is held w
 from __future__ import annotations
 
 import copy
-import importlib
 import threading
 import time
 import traceback
@@ -20,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fewcal.calibration import Calibration
+from fewcal.detection import prepare
 from fewcal.errors import FewcalError
 from fewcal.session import Decision, Session
 from fewcal.views import View
@@ -236,6 +236,12 @@ class LiveCalibration:
         if (before.method, before.thresholds) != (parameters.method, parameters.thresholds):
             self._result, self._attempted = None, ()
 
+    @property
+    def image_size(self) -> tuple[int, int] | None:
+        """(width, height) of the images, pixels; None before the first."""
+        kind = self._stream.kind
+        return None if kind is None else kind.size
+
     def status(self) -> Status:
         """Where the calibration stands."""
         session, arrival = self._session, self._last_arrival
@@ -269,9 +275,7 @@ class LiveCalibration:
     # What the worker does.
 
     def _work(self) -> None:
-        # What detection imports when it is first used takes half a second, which no capture should wait for.
-        for module in ("scipy.sparse.csgraph", "scipy.spatial", "scipy.special"):
-            importlib.import_module(module)
+        prepare()  # half a second, which no capture should wait for
         while (letter := self._mailbox.take()) is not None:
             start = time.monotonic()
             try:

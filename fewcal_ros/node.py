@@ -9,7 +9,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -118,7 +118,8 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         # Those that wait for something outside have a group each, so that they keep nobody else waiting.
         quick = MutuallyExclusiveCallbackGroup()
         for name, action, group in (
-            ("capture", self._capture, MutuallyExclusiveCallbackGroup()),
+            # A capture that comes while another waits is refused at once rather than kept waiting, too.
+            ("capture", self._capture, ReentrantCallbackGroup()),
             ("commit", self._commit, MutuallyExclusiveCallbackGroup()),
             ("calibrate", self._calibrate, quick),
             ("reset", self._reset, quick),
@@ -145,8 +146,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
     def _take_image(self, message: Any) -> None:
         self._live.offer(message)
         if self._per_image is not None and (info := self._released) is not None:
-            kind = self._live.status().stream.kind
-            size = (message.width, message.height) if isinstance(message, Image) else kind and kind.size
+            size = (message.width, message.height) if isinstance(message, Image) else self._live.image_size
             if size == (info.width, info.height):
                 self._per_image.publish(
                     self._with_header(info, message.header.stamp, message.header.frame_id)

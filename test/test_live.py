@@ -87,7 +87,7 @@ def test_the_same_frames_give_the_camera_of_the_session(bench):
     assert result.calibration.camera.matrix.tolist() == session.calibrate().camera.matrix.tolist()
     assert bench.live.current() is result
     last = looks[-1].decision  # nothing is looked for any more, but for a glance now and then
-    assert last is None or not last.kept
+    assert last is None or last.reason == "not asked for"
     bench.show(flat())
     level, sentence = judge_health(bench.live.status())
     assert level is Level.OK, sentence

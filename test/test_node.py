@@ -219,6 +219,9 @@ class TestByServices:
         camera.tell(hold=STILL[3])
         message = capture_when_still(cell)
         assert message.startswith("View 2 is kept.")
+        wait_until(
+            lambda: "views have changed" in client.values()["message"], "an outdated verdict withdrawn"
+        )
         assert "f = 51" in message
         assert "one sigma" in message
         assert client.call("remove_last").message == "The last view is forgotten, 1 view is left."
@@ -250,6 +253,10 @@ class TestByServices:
         waiting = threading.Thread(target=lambda: answers.append(cell.client.call("capture")))
         start = time.monotonic()
         waiting.start()
+        time.sleep(0.5)
+        second = cell.client.call("capture")
+        assert not second.success
+        assert "Another capture is waiting" in second.message
         assert not cell.client.call("calibrate").success
         assert cell.client.call("reset").success
         assert time.monotonic() - start < CAPTURE_TIMEOUT_S

@@ -13,6 +13,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from .threads import SINGLE_THREAD
+
+os.environ.setdefault(*SINGLE_THREAD)
+
 from fewcal.boards import parse_board
 from fewcal.calibration import METHODS
 from fewcal.camera_info import check_camera_name, write_camera_info

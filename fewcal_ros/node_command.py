@@ -6,6 +6,8 @@ import os
 import signal
 import sys
 
+from .threads import SINGLE_THREAD
+
 BAD_INSTALLATION = 2
 """Exit code when ROS 2 is missing, as for any other use that cannot work."""
 
@@ -18,6 +20,7 @@ def main() -> int:
     int
         The exit code, see :func:`fewcal_ros.node.main`; 2 when ROS 2 is not installed.
     """
+    os.environ.setdefault(*SINGLE_THREAD)
     # The imports take a second; a signal meanwhile finds nothing to save, and no traceback helps anybody.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))

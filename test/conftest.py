@@ -6,8 +6,10 @@ from pathlib import Path
 
 from hypothesis import settings
 
-# Tests that run at the same time would share the threads of the linear algebra, which changes the rounding.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from fewcal_ros.threads import SINGLE_THREAD
+
+# As the commands do it, with which results are compared to the last bit.
+os.environ.setdefault(*SINGLE_THREAD)
 
 # A busy machine makes any example slow now and then; that says nothing about the code.
 settings.register_profile("fewcal", settings(), deadline=None)

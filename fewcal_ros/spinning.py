@@ -10,17 +10,16 @@ from typing import Protocol
 
 import rclpy
 from rclpy.exceptions import InvalidHandle
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, ShutdownException, TimeoutException
+from rclpy.service import Service
+from rclpy.task import Task
 
 from .signals import Wait
 
 ENDED, FAILED = 0, 1
 """Exit codes: ended by a signal as asked; anything else."""
-THREADS = 8
-"""One for each callback group that can be busy at once: three that may wait in services, and the others."""
 SHUTDOWN_S = 0.5
 """How long the callbacks that still run may take to end."""
-_SETTLED_POLL_S = 0.01
 POLL_S = 0.2
 """How often to see whether the executor has failed, or is to end."""
 
@@ -49,7 +48,7 @@ def run(node: Closable, wait: Wait) -> int:
     int
         The exit code.
     """
-    executor = _Executor(THREADS)
+    executor = _Executor()
     executor.add_node(node)
     spinner = _Spinner(executor)
     spinner.start()
@@ -68,19 +67,62 @@ def run(node: Closable, wait: Wait) -> int:
     return ENDED
 
 
-class _Executor(MultiThreadedExecutor):  # type: ignore[misc]  # rclpy is not installed wherever this is checked
-    """An executor whose callbacks can be waited for, those included that no thread has taken up yet."""
+class _Executor(Executor):  # type: ignore[misc]  # rclpy is not installed wherever this is checked
+    """Runs the callbacks of services, which may wait for something, in a thread each, and all others itself.
+
+    rclpy's MultiThreadedExecutor hands a callback out again and again until its thread has begun it, which
+    takes the longer the busier the process is: under large images that kept a core busy for seconds.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._serving: list[_Serving] = []
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        for ended in [serving for serving in self._serving if not serving.is_alive()]:
+            self._serving.remove(ended)
+            ended.callback.result()  # raises what the callback raised
+        try:
+            callback, entity, _ = self.wait_for_ready_callbacks(timeout_sec)
+        except (TimeoutException, ShutdownException, ExternalShutdownException):
+            return
+        if isinstance(entity, Service):
+            serving = _Serving(callback)
+            self._serving.append(serving)
+            serving.begin()
+        else:
+            callback()
+            callback.result()
 
     def settle(self, timeout_s: float) -> None:
+        """Wait for the services that have been called."""
         end = time.monotonic() + timeout_s
-        while time.monotonic() < end and not all(begun.done() for begun in list(self._futures)):
-            time.sleep(_SETTLED_POLL_S)
+        for serving in self._serving:
+            serving.join(max(0.0, end - time.monotonic()))
+
+
+class _Serving(threading.Thread):
+    """Runs one callback."""
+
+    def __init__(self, callback: Task) -> None:
+        super().__init__(name="fewcal service", daemon=True)
+        self.callback = callback
+        self._begun = threading.Event()
+
+    def begin(self) -> None:
+        """Start, and return when the callback has begun: until then the executor would hand it out again."""
+        self.start()
+        self._begun.wait()
+
+    def run(self) -> None:
+        self._begun.set()
+        self.callback()
 
 
 class _Spinner(threading.Thread):
     """Keeps the executor going until asked to end, or it fails."""
 
-    def __init__(self, executor: MultiThreadedExecutor) -> None:
+    def __init__(self, executor: Executor) -> None:
         super().__init__(name="fewcal executor")
         self._executor = executor
         self._ending = False

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .least_squares import NormalEquations, Stop
 from .noise import Noise
-from .parametrisation import Parametrisation, ScaleFree
+from .parametrisation import SHIFT, Parametrisation, ScaleFree
 from .views import ViewStack
 
 Array = NDArray[np.float64]
@@ -97,24 +97,20 @@ class Adjustment:
         points += position[..., None]
         depth = points[:, :, 2:]
         depth = np.where(depth > 0, depth, np.nan)
-        rays = points[:, :, :2] / depth
-        camera = columns[:, :, POSE : POSE + size]
-        pixels, by_rays = self.model.project(rays, theta, camera)
-        shift = columns[:, :, 3:POSE]
-        np.divide(by_rays, depth[:, :, None], out=shift[:, :, :2])
-        along = shift[:, :, :2] * rays[:, :, :, None]
-        np.negative(along[:, :, 0] + along[:, :, 1], out=shift[:, :, 2])
+        self.model.project(points[:, :, :2] / depth, theta, columns[:, :, POSE - SHIFT :])
+        turn, shift = columns[:, :, : POSE - SHIFT], columns[:, :, POSE - SHIFT : POSE]
+        shift /= depth[:, :, None]
         # A turn w of the board moves its point p by R (w x p), and d . R (w x p) = w . (p x R'd).
         d = np.swapaxes(rotation, -1, -2) @ shift.reshape(*shift.shape[:3], -1)
         d = d.reshape(shift.shape)
         x, y = board[:, 0, None], board[:, 1, None]
-        np.multiply(d[:, :, 2], y, out=columns[:, :, 0])
-        np.multiply(d[:, :, 2], -x, out=columns[:, :, 1])
-        np.subtract(d[:, :, 1] * x, d[:, :, 0] * y, out=columns[:, :, 2])
+        np.multiply(d[:, :, 2], y, out=turn[:, :, 0])
+        np.multiply(d[:, :, 2], -x, out=turn[:, :, 1])
+        np.subtract(d[:, :, 1] * x, d[:, :, 0] * y, out=turn[:, :, 2])
         if isinstance(self.model, ScaleFree):
             # The boards keep their size in the image, see retract.
-            camera[:, :, 0] += shift[:, :, 2] * position[..., 2, None, None]
-        np.subtract(pixels, self.views.pixels, out=columns[:, :, -1])
+            columns[:, :, POSE] += shift[:, :, 2] * position[..., 2, None, None]
+        columns[:, :, -1] -= self.views.pixels
         columns *= self.views.weights[:, None, None, :]
         return columns
 

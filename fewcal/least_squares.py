@@ -31,8 +31,6 @@ Array = NDArray[np.float64]
 State = TypeVar("State", bound=tuple[Array, ...])
 """A named tuple of arrays, each with the batch as its first axis."""
 
-INITIAL_DAMPING = 1e-3
-"""Relative to the diagonal of J'J; closed-form starts are near enough for almost Gauss-Newton steps."""
 LARGEST_DAMPING = 1e12
 """Beyond this a step no longer changes a double: the item cannot descend further."""
 
@@ -119,11 +117,14 @@ class Tolerances:
         The same as a share of the cost.
     iterations : int
         Steps tried at most, accepted or not.
+    damping : float
+        Of the first step, relative to the diagonal of J'J; less where the start is near.
     """
 
     decrease: float = 1e-20
     relative: float = 1e-14
     iterations: int = 200
+    damping: float = 1e-3
 
 
 @dataclass(frozen=True)
@@ -210,7 +211,7 @@ def _minimise(
     if len(active) < size:
         state, problem, v = take(start, active), problem.take(active), v[active]
         equations = take(equations, active)
-    damping, growth = np.full(len(active), INITIAL_DAMPING), np.full(len(active), 2.0)
+    damping, growth = np.full(len(active), tolerances.damping), np.full(len(active), 2.0)
     for iteration in range(tolerances.iterations + 1 if len(active) else 0):
         cost = equations.cost(v)
         shared, local, predicted = solve(equations, v, damping)

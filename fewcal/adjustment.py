@@ -147,11 +147,6 @@ class Adjustment:
         moved.position[..., 2] += state.position[..., 2] * np.expm1(shared[:, None, 0])
         return moved
 
-    def squares(self, state: Geometry) -> Array:
-        """Weighted sum of squared reprojection errors, (B, V), px^2."""
-        squares: Array = (self.jacobian(state)[:, :, -1] ** 2).sum(axis=(-2, -1))
-        return squares
-
     def variance(self, squares: Array) -> Array:
         """Variance (B,) of an image point of weight 1, px^2, for sums of squared residuals (B,)."""
         return np.ones_like(squares) if self.noise is None else self.noise.variance(squares)

@@ -91,7 +91,7 @@ def test_the_estimate_is_a_minimum_at_its_own_noise(count: int, sigma: float) ->
     found = estimate_map(stack_views(noisy(views_at(*TILTS[:count]), sigma, 7)), SIZE, Priors())
     assert found.stop != Stop.ITERATIONS
     problem, at = found.adjustment, found.geometry
-    expected = problem.variance(problem.squares(at).sum(axis=1))
+    expected = problem.variance(problem.linearise(at).squares)
     assert found.sigma**2 == pytest.approx(expected[0], rel=1e-9)
     variance = np.array([found.sigma**2])
     cost = problem.linearise(at).cost(variance)[0]
@@ -119,4 +119,5 @@ def test_exact_points_are_taken_at_their_word_against_the_prior() -> None:
     stack = stack_views(views_at((3, 0), (50, 120), camera=odd))
     found = estimate_map(stack, SIZE, Priors())
     assert np.exp(found.geometry.theta[0, 0]) == pytest.approx(1100, rel=1e-6)
-    assert Noise.of(stack, Priors()).scatter(found.adjustment.squares(found.geometry).sum(axis=1))[0] < 1e-6
+    squares = found.adjustment.linearise(found.geometry).squares
+    assert Noise.of(stack, Priors()).scatter(squares)[0] < 1e-6

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .constraints import PriorRows
 from .least_squares import NormalEquations, Stop
 from .noise import Noise
 from .parametrisation import SHIFT, Parametrisation, ScaleFree
@@ -118,11 +119,13 @@ class Adjustment:
         """Normal equations; a state with a point behind the camera, or beyond all numbers, is NaN."""
         columns = self.jacobian(state)
         columns = columns.reshape(*columns.shape[:3], -1)
-        r, J = self.constraint(state.theta)
-        constraint = np.concatenate([J, r[..., None]], axis=-1)
-        return NormalEquations(
-            columns @ np.swapaxes(columns, -1, -2), np.swapaxes(constraint, -1, -2) @ constraint
-        )
+        if isinstance(self.constraint, PriorRows):
+            shared = self.constraint.quadratic(state.theta)
+        else:
+            r, J = self.constraint(state.theta)
+            constraint = np.concatenate([J, r[..., None]], axis=-1)
+            shared = np.swapaxes(constraint, -1, -2) @ constraint
+        return NormalEquations(columns @ np.swapaxes(columns, -1, -2), shared)
 
     def rows(self, state: Geometry, sigma: float) -> Rows:
         """Rows of a batch of one, with the standard deviation of an image point of weight 1 in pixels."""
@@ -176,7 +179,7 @@ class Estimate:
     geometry : Geometry
         Its solution, with a batch of one.
     sigma : float
-        Standard deviation of an image point of weight 1, pixels.
+        Standard deviation of an image point of weight 1 before the last step, pixels.
     stop : Stop
         Why the last iteration stopped.
     """

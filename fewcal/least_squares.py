@@ -119,12 +119,16 @@ class Tolerances:
         Steps tried at most, accepted or not.
     damping : float
         Of the first step, relative to the diagonal of J'J; less where the start is near.
+    final_step : bool
+        Take the step that is too short to go on, without a look at where it leads: the equations of the
+        minimum are those before it.
     """
 
     decrease: float = 1e-20
     relative: float = 1e-14
     iterations: int = 200
     damping: float = 1e-3
+    final_step: bool = False
 
 
 @dataclass(frozen=True)
@@ -226,7 +230,10 @@ def _minimise(
         )
         if won or not going_on.all() or iteration == tolerances.iterations:
             stop[active], iterations[active] = np.where(stalled, Stop.STALLED, converged), iteration
-            final.store(active, state, equations, v)
+            end = state
+            if tolerances.final_step:
+                end = problem.retract(state, shared * converged[:, None], local * converged[:, None, None])
+            final.store(active, end, equations, v)
             if won or iteration == tolerances.iterations or not going_on.any():
                 break
             left = np.flatnonzero(going_on)

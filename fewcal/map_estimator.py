@@ -56,7 +56,7 @@ RUNNERS = 2
 
 _COARSE = Tolerances(decrease=0.5, relative=0.0, iterations=25, damping=1e-4)
 _ROUND = Tolerances(decrease=1e-2, relative=0.0, iterations=50)
-_FINE = Tolerances(decrease=1e-7, relative=0.0, damping=1e-6)
+_FINE = Tolerances(decrease=3e-7, relative=0.0, damping=1e-6, final_step=True)
 
 
 def estimate_map(views: ViewStack, image_size: tuple[int, int], priors: Priors) -> Estimate:

@@ -86,7 +86,10 @@ def test_normal_equations_are_those_of_the_rows(problem: Adjustment, at: Geometr
             columns = np.column_stack([rows.by_pose[v], rows.by_camera[v], rows.r[v]]) * 0.5
             np.testing.assert_allclose(found.groups[b, v], columns.T @ columns, rtol=1e-9, atol=1e-9)
         columns = np.column_stack([rows.prior_by_camera, rows.prior])
-        np.testing.assert_allclose(found.shared[b], columns.T @ columns)
+        gradient = (columns.T @ columns)[-1]
+        np.testing.assert_allclose(
+            found.shared[b, -1], gradient, rtol=1e-9, atol=1e-9 * abs(gradient).max(initial=0)
+        )
     variance = np.array([0.3, 0.5])
     squares = (residuals(problem, at) ** 2).sum(axis=(1, 2, 3))
     np.testing.assert_allclose(found.squares, squares)

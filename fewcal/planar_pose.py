@@ -11,9 +11,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .closed_form import nearest_rotation
-
 Array = NDArray[np.float64]
+
+ROUNDING = 1e-15
+"""Below this the tilt of a board that faces the line of sight is rounding."""
+_OTHER = np.array([[1, 1, -1], [1, 1, -1], [-1, -1, 1]])
+"""Signs by which the two rotations differ: both have the same first two rows and columns."""
 
 
 def planar_poses(H: Array, board_points: Array, rays: Array, weights: Array) -> tuple[Array, Array]:
@@ -42,11 +45,8 @@ def planar_poses(H: Array, board_points: Array, rays: Array, weights: Array) -> 
     with np.errstate(divide="ignore", invalid="ignore"):
         error = (X[..., :2, :] / X[..., 2:, :] - rays[..., None, :, :]) * weights[..., None, None, :]
     squares = (error * error).sum(axis=(-2, -1))
-    order = np.argsort(squares, axis=-1)
-    return (
-        np.take_along_axis(R, order[..., None, None], axis=-3),
-        np.take_along_axis(t, order[..., None], axis=-2),
-    )
+    swap = (squares[..., 0] > squares[..., 1])[..., None, None]
+    return np.where(swap[..., None], R[..., ::-1, :, :], R), np.where(swap, t[..., ::-1, :], t)
 
 
 def _rotations(H: Array) -> Array:
@@ -59,18 +59,21 @@ def _rotations(H: Array) -> Array:
     R_v = _from_z_to(ray)
     B = R_v[..., :2, :2] - p[..., :, None] * R_v[..., 2:, :2]
     A = np.linalg.solve(B, J)
-    gamma = np.linalg.svd(A, compute_uv=False)[..., :1, None]
-    R22 = A / np.where(gamma > 0, gamma, 1)
-    rest = np.eye(2) - np.swapaxes(R22, -1, -2) @ R22
-    first = np.sqrt(np.maximum(rest[..., 0, 0], 0))
-    second = np.sqrt(np.maximum(rest[..., 1, 1], 0)) * np.where(rest[..., 0, 1] < 0, -1.0, 1.0)
-    b = np.stack([first, second], axis=-1)
-    both = []
-    for sign in (1.0, -1.0):
-        columns = np.concatenate([R22, sign * b[..., None, :]], axis=-2)
-        third = np.cross(columns[..., 0], columns[..., 1])
-        both.append(R_v @ np.concatenate([columns, third[..., None]], axis=-1))
-    return nearest_rotation(np.stack(both, axis=-3))
+    square = np.swapaxes(A, -1, -2) @ A
+    xx, xy, yy = square[..., 0, 0], square[..., 0, 1], square[..., 1, 1]
+    gamma2 = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
+    # The third row b makes unit columns at right angles: b b' is what the first two rows lack of that.
+    xx, xy, yy = 1 - xx / gamma2, -xy / gamma2, 1 - yy / gamma2
+    larger = np.maximum(np.maximum(xx, yy), ROUNDING)
+    b = np.where(xx > yy, [larger, xy], [xy, larger]) / np.sqrt(larger)
+    columns = np.concatenate(
+        [A / np.sqrt(gamma2)[..., None, None], np.moveaxis(b, 0, -1)[..., None, :]], axis=-2
+    )
+    first, second = columns[..., 0], columns[..., 1]
+    third = first[..., [1, 2, 0]] * second[..., [2, 0, 1]] - first[..., [2, 0, 1]] * second[..., [1, 2, 0]]
+    one = np.concatenate([columns, third[..., None]], axis=-1)
+    both: Array = R_v[..., None, :, :] @ np.stack([one, one * _OTHER], axis=-3)
+    return both
 
 
 def _from_z_to(ray: Array) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .adjustment import Estimate, Rows
 from .camera import Camera
-from .constraints import PRIOR_ROWS, Priors
+from .constraints import PRIOR_ROWS, PriorRows, Priors
 from .errors import InvalidInput
 from .least_squares import Stop
 from .map_estimator import estimate_map
@@ -172,7 +172,7 @@ def calibrate(
     model = found.adjustment.model
     rows = found.adjustment.rows(found.geometry, found.sigma)
     if isinstance(model, ScaleFree):
-        solution = _map_solution(found, rows, model, priors)
+        solution = _map_solution(found, rows, model)
     else:
         solution = _pixel_solution(found, rows, model, size, priors)
     return _result(found, rows, solution, views, size, method, thresholds)
@@ -191,7 +191,7 @@ class _Solution:
     prior_conflicts: dict[str, float]
 
 
-def _map_solution(found: Estimate, rows: Rows, model: ScaleFree, priors: Priors) -> _Solution:
+def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
     theta = found.geometry.theta[0]
     natural = model.natural(theta)
     if model.in_pixels:
@@ -201,8 +201,9 @@ def _map_solution(found: Estimate, rows: Rows, model: ScaleFree, priors: Priors)
         fx, fy, cx, cy = natural[:4].tolist()
         camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
         coefficients = from_plumb_bob(camera)
-    tails = priors.rows(max(model.image_size)).tails(theta)
-    result = camera_posterior(rows, found.adjustment.views.points, tails)
+    known = found.adjustment.constraint
+    assert isinstance(known, PriorRows)
+    result = camera_posterior(rows, found.adjustment.views.points, known.tails(theta))
     J = model.natural_jacobian(theta)
     return _Solution(
         camera,
@@ -252,9 +253,10 @@ def _result(
     stack = found.adjustment.views
     rotation = found.geometry.rotation[0] @ np.swapaxes(stack.plane, -1, -2)
     position = found.geometry.position[0]
-    poses = np.tile(np.eye(4), (len(views), 1, 1))
+    poses = np.zeros((len(views), 4, 4))
     poses[:, :3, :3] = rotation
     poses[:, :3, 3] = position - (rotation @ stack.centroid[..., None])[..., 0]
+    poses[:, 3, 3] = 1
     counts = (stack.weights > 0).sum(axis=1)
     squares = _squared_errors(rows, found.sigma, stack.weights)
     covariance = solution.covariance

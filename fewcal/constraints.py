@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InvalidInput
+from .least_squares import diagonal
 from .scale_mixture import Tails
 
 Array = NDArray[np.float64]
@@ -236,7 +237,7 @@ class PriorRows:
         z, by_theta = self._whitened(theta)
         gain, bend = _student_gain(z * z @ _TOGETHER, self.tail, _DIMENSION)
         by_z = (bend * z)[:, :, None] * z[:, None, :] * _TOGETHER
-        by_z[:, _INDEX, _INDEX] += gain
+        diagonal(by_z)[...] += gain
         return gain * z, by_z @ by_theta
 
     def quadratic(self, theta: Array) -> Array:
@@ -264,7 +265,7 @@ class PriorRows:
         logarithm = np.log1p(safe) / safe
         along = np.maximum((1 - q) / (1 + q), STIFFNESS / ((1 + q) * logarithm))
         by_z = (slope * (along - 1) * z / np.maximum(squares, 1e-300))[:, :, None] * z[:, None, :] * _TOGETHER
-        by_z[:, _INDEX, _INDEX] += slope
+        diagonal(by_z)[...] += slope
         transposed = np.swapaxes(by_theta, -1, -2)
         model = np.empty((len(theta), 9, 9))
         model[:, :8, :8] = transposed @ (by_z @ by_theta)
@@ -294,7 +295,6 @@ _TOGETHER = np.eye(8)
 """Which rows share one prior: the two radial terms do."""
 _TOGETHER[4:6, 4:6] = 1
 _DIMENSION = _TOGETHER.sum(axis=0)
-_INDEX = np.arange(8)
 _GROUP = np.array([0, 1, 2, 3, 4, 4, 5, 6])
 """The distribution that each row belongs to."""
 _FIRST = np.array([0, 1, 2, 3, 4, 6, 7])

@@ -46,8 +46,8 @@ ENUMERATED_VIEWS = 3
 HOPELESS = 50.0
 """Difference of the objective at which a minimum is given up: exp(-50) is its share of the probability."""
 
-TRUST_LEVELS = 6
-"""Standard deviations looked at between the first and the one of trust."""
+TRUST_LEVELS = np.linspace(0, 1, 6)
+"""Standard deviations looked at, from the first to the one of trust, as steps of their logarithm."""
 WORTHWHILE = 0.3
 """Gain in the objective, foreseen, for which the other explanation is followed."""
 
@@ -121,7 +121,8 @@ def _ahead(problem: Adjustment, noise: Noise, found: Minimum[Geometry]) -> tuple
     objective : float
         Lowest on the way there.
     """
-    sigma = np.geomspace(np.sqrt(found.variance[0]), TRUSTING_PX, TRUST_LEVELS)
+    own = np.sqrt(found.variance[0])
+    sigma = own * (TRUSTING_PX / own) ** TRUST_LEVELS
     equations = NormalEquations(*(np.repeat(part, len(sigma), axis=0) for part in found.equations))
     shared, local, _ = solve(equations, sigma**2, np.zeros(len(sigma)))
     squares = equations.squares_after(shared, local)

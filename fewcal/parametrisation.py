@@ -123,7 +123,8 @@ class ScaleFree(NamedTuple):
             Derivative of the pixels by a shift of the point along x, y and z at unit depth, by the unknowns,
             and the pixels themselves. Only the first two axes may have strides of their own.
         """
-        half = self.diagonal / 2
+        diagonal = self.diagonal
+        half = diagonal / 2
         fx, aspect = np.exp(theta[:, :2]).T
         before, after = np.empty((2, len(theta), 2))
         before[:] = fx[:, None] / half
@@ -134,8 +135,8 @@ class ScaleFree(NamedTuple):
         terms = (coefficients @ _SCALE_FREE).reshape(-1, 12, 2, 13)
         terms *= after[:, None, :, None]
         terms[:, :2] *= before[:, :, None, None]
-        terms[:, 5:7, :, 12] = self.diagonal * np.eye(2)
-        terms[:, 11, :, 12] = self.centre + self.diagonal * theta[:, 2:4]
+        terms[:, 5, 0, 12] = terms[:, 6, 1, 12] = diagonal
+        terms[:, 11, :, 12] = self.centre + diagonal * theta[:, 2:4]
         values = monomials(rays * before[:, None, :, None])
         np.matmul(terms.reshape(-1, 1, 24, 13), values, out=columns.reshape(*columns.shape[:2], 24, -1))
         if self.in_pixels:

@@ -84,12 +84,12 @@ def moments(J: Array, r: Array, tails: Tails) -> Moments:
     z = tails.z - W @ y
     more = (precisions - expected)[:, tails.group]
     outer = (W[:, :, None] * W[:, None, :]).reshape(len(W), -1)
-    information: Array = (more @ outer).reshape(-1, *T.shape) + np.eye(len(T))
+    information = (more @ outer).reshape(-1, *T.shape) + np.eye(len(T))
     covariance = np.linalg.inv(information)
     gradient = (more * z) @ W
     e = -(covariance @ gradient[..., None])[..., 0]
     # Of positive definite matrices: a Cholesky decomposition is half the work of the LU one.
-    log_determinant = 2 * np.log(diagonal(np.linalg.cholesky(information))).sum(axis=1)
+    log_determinant = 2 * np.log(diagonal(np.asarray(np.linalg.cholesky(information)))).sum(axis=1)
     log_weight = log_weight - 0.5 * (log_determinant + (e * gradient).sum(axis=1) + more @ z**2)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()

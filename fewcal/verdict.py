@@ -19,8 +19,9 @@ from .distortion import surely_invertible
 Array = NDArray[np.float64]
 
 
-_DIRECTIONS = np.stack([np.cos(angles := np.arange(32) * np.pi / 32), np.sin(angles)])
-"""32 directions (2, 32) in which an extent is looked at."""
+_ANGLES = np.arange(32) * np.pi / 32
+_DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+"""In which an extent is looked at, (2, 32)."""
 
 
 @dataclass(frozen=True)

@@ -282,10 +282,11 @@ class PriorRows:
 
     def _whitened(self, theta: Array) -> tuple[Array, Array]:
         """Z of zero mean and unit scale (B, 8), and its derivative (B, 8, 8)."""
-        x = theta[:, 0] - self.reference
-        z = (theta - self.mean) @ self.whiten.T + np.clip(x, -1, 1)[:, None] * self.slope
-        by_theta = np.repeat(self.whiten[None], len(theta), axis=0)
-        by_theta[:, 4:6, 0] = np.where(np.abs(x) < 1, 1.0, 0.0)[:, None] * self.slope[4:6]
+        x = theta[:, :1] - self.reference
+        z = (theta - self.mean) @ self.whiten.T + np.minimum(np.maximum(x, -1), 1) * self.slope
+        by_theta = np.empty((len(theta), 8, 8))
+        by_theta[:] = self.whiten
+        by_theta[:, 4:6, 0] = (np.abs(x) < 1) * self.slope[4:6]
         return z, by_theta
 
 

@@ -54,7 +54,7 @@ class NormalEquations(NamedTuple):
     groups : (B, V, L + S + 1, L + S + 1)
         [J_local, J_shared, r]' [J_local, J_shared, r] of each group; NaN where the state is not allowed.
     shared : (B, S + 1, S + 1)
-        [J, c]' [J, c] of the rows of variance 1.
+        [J, c]' [J, c] of the rows of variance 1, or a better second-order model of |c|^2 in its place.
     """
 
     groups: Array

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 ROUNDING = 1e-15
 """Below this the tilt of a board that faces the line of sight is rounding."""
-_OTHER = np.array([[1, 1, -1], [1, 1, -1], [-1, -1, 1]])
+_BOTH = np.array([np.ones((3, 3)), [[1, 1, -1], [1, 1, -1], [-1, -1, 1]]])
 """Signs by which the two rotations differ: both have the same first two rows and columns."""
 
 
@@ -54,9 +54,8 @@ def _rotations(H: Array) -> Array:
     p = H[..., :2, 2]
     J = H[..., :2, :2] - p[..., :, None] * H[..., 2:, :2]
     # R_v turns the optical axis into the ray of the centroid.
-    ray = np.concatenate([p, np.ones_like(p[..., :1])], axis=-1)
-    ray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
-    R_v = _from_z_to(ray)
+    z = 1 / np.sqrt(1 + (p * p).sum(axis=-1))
+    R_v = _from_z_to(p[..., 0] * z, p[..., 1] * z, z)
     B = R_v[..., :2, :2] - p[..., :, None] * R_v[..., 2:, :2]
     A = np.linalg.solve(B, J)
     square = np.swapaxes(A, -1, -2) @ A
@@ -72,14 +71,13 @@ def _rotations(H: Array) -> Array:
     first, second = columns[..., 0], columns[..., 1]
     third = first[..., [1, 2, 0]] * second[..., [2, 0, 1]] - first[..., [2, 0, 1]] * second[..., [1, 2, 0]]
     one = np.concatenate([columns, third[..., None]], axis=-1)
-    both: Array = R_v[..., None, :, :] @ np.stack([one, one * _OTHER], axis=-3)
+    both: Array = R_v[..., None, :, :] @ (one[..., None, :, :] * _BOTH)
     return both
 
 
-def _from_z_to(ray: Array) -> Array:
+def _from_z_to(x: Array, y: Array, z: Array) -> Array:
     """Shortest rotation that takes the z axis to a unit vector with positive z."""
-    x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
-    R = np.empty((*ray.shape[:-1], 3, 3))
+    R = np.empty((*z.shape, 3, 3))
     R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = 1 - x * x / (1 + z), -x * y / (1 + z), x
     R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = R[..., 0, 1], 1 - y * y / (1 + z), y
     R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = -x, -y, z

@@ -127,6 +127,7 @@ def _ahead(problem: Adjustment, noise: Noise, found: Minimum[Geometry]) -> tuple
     own = np.sqrt(found.variance[0])
     sigma = own * (TRUSTING_PX / own) ** TRUST_LEVELS
     equations = NormalEquations(*(np.repeat(part, len(sigma), axis=0) for part in found.equations))
+    # The state is one step ahead of the equations, the last, which is too short to matter.
     shared, local, _ = solve(equations, sigma**2, np.zeros(len(sigma)))
     squares = equations.squares_after(shared, local)
     prior, _ = problem.constraint(found.state.theta + shared)

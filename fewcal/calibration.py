@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .adjustment import Estimate
 from .camera import Camera
 from .constraints import PRIOR_ROWS, Priors
+from .departures import COUNT
 from .errors import InvalidInput
 from .least_squares import Stop
 from .map_estimator import estimate_map
@@ -61,6 +62,9 @@ class Calibration:
         Residual, in standard deviations, of each prior that the estimate contradicts.
     sigma_px : float
         Standard deviation of a point that the error bars rest on, pixels.
+    departures : (3,)
+        Bend of the board along x and along y, and remainder of the lens, as :class:`Priors` counts them. The
+        camera is the best one beside them; `view_rms` and `rms` are of the camera alone. Zero but for map.
     verdict : Verdict
     """
 
@@ -77,6 +81,7 @@ class Calibration:
     determined: dict[str, float] | None
     prior_conflicts: dict[str, float]
     sigma_px: float
+    departures: Array
     verdict: Verdict
 
     @property
@@ -185,13 +190,14 @@ class _Solution:
     pixel_distortion: Array
     skew: float
     sigma_px: float
+    departures: Array
     covariance: Array | None
     determined: dict[str, float] | None
     prior_conflicts: dict[str, float]
 
 
 def _map_solution(found: Estimate, model: ScaleFree, priors: Priors) -> _Solution:
-    theta = found.geometry.theta[0]
+    theta = found.geometry.theta[0, : model.size]
     natural = model.natural(theta)
     if model.in_pixels:
         coefficients = model.pixel_coefficients(theta)
@@ -210,6 +216,7 @@ def _map_solution(found: Estimate, model: ScaleFree, priors: Priors) -> _Solutio
         coefficients,
         0.0,
         found.sigma,
+        found.geometry.theta[0, model.size :],
         J @ result.covariance[:8, :8] @ J.T,
         {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)[:8]).items()},
         _worst_by_name(np.abs(conflicts[0])),
@@ -228,7 +235,7 @@ def _pixel_solution(found: Estimate, model: PixelModel, size: tuple[int, int], p
         known = np.isfinite(of_theta).all()
         covariance = J @ of_theta @ J.T * sigma**2 if known else np.full((8, 8), np.inf)
     camera = nearest_plumb_bob(theta[:5], coefficients, size)
-    return _Solution(camera, coefficients, float(theta[4]), sigma, covariance, None, {})
+    return _Solution(camera, coefficients, float(theta[4]), sigma, np.zeros(COUNT), covariance, None, {})
 
 
 def _worst_by_name(values: Array) -> dict[str, float]:
@@ -281,6 +288,7 @@ def _result(
         pixel_distortion=solution.pixel_distortion,
         skew=solution.skew,
         sigma_px=solution.sigma_px,
+        departures=solution.departures,
         covariance=covariance,
         determined=solution.determined,
         prior_conflicts={n: r for n, r in solution.prior_conflicts.items() if r > thresholds.conflict},
@@ -296,7 +304,9 @@ def _squared_errors(found: Estimate) -> Array:
     """Sum of squared distances between projected and observed points of each view, (V,), px^2."""
     views = found.adjustment.views
     unweighted = views._replace(weights=(views.weights > 0).astype(float))
-    squares: Array = replace(found.adjustment, views=unweighted).squares(found.geometry)[0]
+    problem = replace(found.adjustment, views=unweighted, departures=None)
+    camera = found.geometry.theta[:, : problem.model.size]
+    squares: Array = problem.squares(found.geometry._replace(theta=camera))[0]
     return squares
 
 

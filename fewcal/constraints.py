@@ -141,6 +141,10 @@ class Priors:
         Of a1 = k1 rc^2 and a2 = k2 rc^4, with rc = half the diagonal / fx.
     tangential : Distribution
         Of b1 = p1 rc and b2 = p2 rc.
+    board_bend : Distribution
+        Of the board's bend along either side, as a share of its diagonal, see :mod:`fewcal.departures`.
+    lens_remainder : Distribution
+        Of the r^7 term of the lens, in half diagonals at the corner of the image.
     corner_sigma_px : (float, float)
         Median of the corner noise, pixels, and the standard deviation of its logarithm.
     """
@@ -152,6 +156,8 @@ class Priors:
     principal_point_y: Distribution = StudentT(3.0, 0.0154)
     radial: RadialPrior = RadialPrior()
     tangential: Distribution = StudentT(1.25, 0.0011)
+    board_bend: Distribution = StudentT(2.0, 5e-4)
+    lens_remainder: Distribution = StudentT(1.0, 0.008)
     corner_sigma_px: tuple[float, float] = (0.25, 1.0)
 
     def __post_init__(self) -> None:
@@ -181,13 +187,13 @@ class PriorRows:
 
     Attributes
     ----------
-    mean, whiten : (8,) and (8, 8)
+    mean, whiten : (11,) and (11, 11)
         z = whiten (theta - mean), for the mean of the radial terms at its reference focal length.
-    slope : (8,)
+    slope : (11,)
         Change of z with the clipped logarithm x of the focal length, see :class:`RadialPrior`.
     reference : float
         Of x, as a logarithm in pixels.
-    tail : (8,)
+    tail : (11,)
         1 / nu.
     """
 
@@ -208,13 +214,15 @@ class PriorRows:
             priors.principal_point_y,
             priors.tangential,
             priors.tangential,
+            priors.board_bend,
+            priors.lens_remainder,
         )
         mean, scale, nu = np.array([(d.mean, d.scale, d.nu) for d in single]).T[:, _SINGLE]
         mean[0] += math.log(width)
         mean[4:6], nu[4:6] = radial.intercept, radial.nu
         whiten = np.diag(1 / scale)
         whiten[4:6, 4:6] = np.linalg.inv(np.linalg.cholesky(np.array(radial.covariance)))
-        slope = np.zeros(8)
+        slope = np.zeros(len(mean))
         slope[4:6] = -whiten[4:6, 4:6] @ np.array(radial.slope)
         return cls(mean, whiten, slope, math.log(width) + math.log(radial.reference), 1 / nu)
 
@@ -223,45 +231,51 @@ class PriorRows:
 
         Parameters
         ----------
-        theta : (B, 8)
-            Scale-free camera: ln fx, ln(fy / fx), principal point offset in diagonals (x, y), a1, a2, b1, b2.
+        theta : (B, S)
+            Scale-free camera: ln fx, ln(fy / fx), principal point offset in diagonals (x, y), a1, a2, b1, b2;
+            with S = 11 also bend along x, bend along y and remainder of the lens.
 
         Returns
         -------
-        r : (B, 8), J : (B, 8, 8)
+        r : (B, S), J : (B, S, S)
             In the order of :data:`PRIOR_ROWS`.
         """
         z, by_theta = self._whitened(theta)
-        gain, bend = _student_gain(z * z @ _TOGETHER, self.tail, _DIMENSION)
-        by_z = (bend * z)[:, :, None] * z[:, None, :] * _TOGETHER
-        by_z[:, np.arange(8), np.arange(8)] += gain
+        size = z.shape[1]
+        together = _TOGETHER[:size, :size]
+        gain, bend = _student_gain(z * z @ together, self.tail[:size], _DIMENSION[:size])
+        by_z = (bend * z)[:, :, None] * z[:, None, :] * together
+        by_z[:, np.arange(size), np.arange(size)] += gain
         return gain * z, by_z @ by_theta
 
     def tails(self, theta: Array) -> Tails:
-        """See the priors as normal ones of unknown precision, at one camera (8,)."""
+        """See the priors as normal ones of unknown precision, at one camera (S,)."""
         z, by_theta = self._whitened(theta[None])
+        group = _GROUP[: len(theta)]
         with np.errstate(divide="ignore"):
-            nu = 1 / self.tail[_FIRST]
-        return Tails(z[0], by_theta[0], _GROUP, nu)
+            nu = 1 / self.tail[_FIRST[: group[-1] + 1]]
+        return Tails(z[0], by_theta[0], group, nu)
 
     def _whitened(self, theta: Array) -> tuple[Array, Array]:
-        """Z of zero mean and unit scale (B, 8), and its derivative (B, 8, 8)."""
+        """Z of zero mean and unit scale (B, S), and its derivative (B, S, S)."""
         x = theta[:, 0] - self.reference
-        z = (theta - self.mean) @ self.whiten.T + np.clip(x, -1, 1)[:, None] * self.slope
-        by_theta = np.repeat(self.whiten[None], len(theta), axis=0)
+        size = theta.shape[1]
+        whiten = self.whiten[:size, :size]
+        z = (theta - self.mean[:size]) @ whiten.T + np.clip(x, -1, 1)[:, None] * self.slope[:size]
+        by_theta = np.repeat(whiten[None], len(theta), axis=0)
         by_theta[:, 4:6, 0] = np.where(np.abs(x) < 1, 1.0, 0.0)[:, None] * self.slope[4:6]
         return z, by_theta
 
 
-_SINGLE = np.array([0, 1, 2, 3, 4, 4, 4, 5])
+_SINGLE = np.array([0, 1, 2, 3, 4, 4, 4, 5, 6, 6, 7])
 """Prior of each unknown among the single ones; the radial terms have their own."""
-_TOGETHER = np.eye(8)
+_TOGETHER = np.eye(11)
 """Which rows share one prior: the two radial terms do."""
 _TOGETHER[4:6, 4:6] = 1
 _DIMENSION = _TOGETHER.sum(axis=0)
-_GROUP = np.array([0, 1, 2, 3, 4, 4, 5, 6])
+_GROUP = np.array([0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9])
 """The distribution that each row belongs to."""
-_FIRST = np.array([0, 1, 2, 3, 4, 6, 7])
+_FIRST = np.array([0, 1, 2, 3, 4, 6, 7, 8, 9, 10])
 """The first row of each distribution."""
 
 PRIOR_ROWS = (

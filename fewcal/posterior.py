@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .adjustment import Adjustment, Geometry, Rows
-from .board_bend import with_bend, with_bend_prior
 from .camera import Camera, project_jacobians
 from .constraints import PriorRows
 from .scale_mixture import Tails, moments
@@ -70,7 +69,7 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
 
 
 def camera_posterior(problem: Adjustment, geometry: Geometry, sigma: float, priors: PriorRows) -> Posterior:
-    """What some views leave open of a camera and of the bend of their board.
+    """What some views leave open of a camera and of what board and lens do beyond the model.
 
     Parameters
     ----------
@@ -81,8 +80,7 @@ def camera_posterior(problem: Adjustment, geometry: Geometry, sigma: float, prio
         Standard deviation of an image point of weight 1, pixels.
     priors : PriorRows
     """
-    rows = with_bend(problem.rows(geometry, sigma), problem.views.points)
-    return posterior(rows, with_bend_prior(priors.tails(geometry.theta[0])))
+    return posterior(problem.rows(geometry, sigma), priors.tails(geometry.theta[0]))
 
 
 def gaussian_covariance(rows: Rows) -> Array:

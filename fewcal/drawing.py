@@ -194,7 +194,8 @@ _MERGED_M = 1e-9
 
 def _lines(values: Array) -> Array:
     ordered = np.unique(values)
-    return ordered[np.append(True, np.diff(ordered) > _MERGED_M)[: len(ordered)]]
+    apart = np.append(True, np.diff(ordered) > _MERGED_M)
+    return np.asarray(ordered[apart[: len(ordered)]])
 
 
 def _index(lines: Array, values: Array) -> NDArray[np.intp]:

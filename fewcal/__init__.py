@@ -1,6 +1,6 @@
 """fewcal: camera calibration from one or two views of a board, with error bars that are true."""
 
-from .boards import Board, Chessboard, parse_board
+from .boards import Board, Charuco, Chessboard, parse_board
 from .calibration import Calibration, calibrate
 from .camera import Camera
 from .camera_info import read_camera_info, write_camera_info
@@ -23,6 +23,7 @@ __all__ = [
     "BoardNotFound",
     "Calibration",
     "Camera",
+    "Charuco",
     "Chessboard",
     "DegenerateViews",
     "FewcalError",

@@ -11,12 +11,13 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from .charuco import Charuco
 from .chessboard import Chessboard
 from .detection import Detection
 from .drawing import Drawing
 from .errors import InvalidInput
 
-__all__ = ["Board", "Chessboard", "parse_board"]
+__all__ = ["Board", "Charuco", "Chessboard", "parse_board"]
 
 
 @runtime_checkable
@@ -68,7 +69,7 @@ class _Kind(Protocol):
         """Read a board from its whole text form."""
 
 
-_KINDS: dict[str, _Kind] = {"chessboard": Chessboard}
+_KINDS: dict[str, _Kind] = {"chessboard": Chessboard, "charuco": Charuco}
 """Kinds of boards by the word that their text form begins with."""
 
 

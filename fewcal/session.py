@@ -335,15 +335,24 @@ class Session:
                 self._judged = calibrate(views, size, "map", self.priors, self.thresholds)
 
     def _capture(self, detection: Detection, size: tuple[int, int]) -> Decision:
+        message = f"View {len(self._kept) + 1} is kept."
+        if same := next((i for i, view in enumerate(self._kept, 1) if self._looks_like(detection, view)), 0):
+            message += (
+                f" It shows the board where view {same} does and tells nothing new; move before the next."
+            )
         self._keep([*self._kept, detection.view], size)
-        return Decision(True, "kept", f"View {len(self._kept)} is kept.", detection)
+        return Decision(True, "kept", message, detection)
+
+    def _looks_like(self, detection: Detection, view: View) -> bool:
+        """Whether the board is where a view shows it, as far as the motion allowed goes."""
+        return shift_px(detection.view, view) <= self.frames.criteria.max_motion_px
 
     def _consider(self, detection: Detection, size: tuple[int, int]) -> Decision:
         """Judge a good view by the projection error that would be left with it and without it."""
         if not self._kept:
             return self._capture(detection, size)
         # A board held still is most of what a camera sees, so that saves most of the time.
-        if any(shift_px(detection.view, view) <= self.frames.criteria.max_motion_px for view in self._kept):
+        if any(self._looks_like(detection, view) for view in self._kept):
             return _nothing_new(detection)
         together = [*self._kept, detection.view]
         try:

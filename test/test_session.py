@@ -190,10 +190,16 @@ def test_views_of_another_size_are_refused() -> None:
 def test_capture_keeps_whatever_it_adds_but_no_bad_view() -> None:
     session, _ = session_of(flat())
     assert session.capture(shown(1.0, seed=1)).kept
-    assert session.capture(shown(1.0, seed=2)).message == "View 3 is kept."
+    again = session.capture(shown(1.0, seed=2))
+    assert again.message.startswith("View 3 is kept. It shows the board where view 1 does")
     assert session.capture(empty()).reason == "no board"
     assert session.capture(shown(30.0, blur_px=BLURRED)).reason == "blurred"
     assert len(session.views) == 3
+
+
+def test_a_capture_of_another_pose_is_not_called_a_repeat() -> None:
+    session, _ = session_of(flat())
+    assert session.capture(shown(30.0)).message == "View 2 is kept."
 
 
 def test_remove_last_and_reset() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .boards import Chessboard
+from .boards import Board
 from .calibration import Calibration, calibrate
 from .constraints import Priors
 from .detection import Detection, detect_board
@@ -77,7 +77,7 @@ class FrameFilter:
 
     Parameters
     ----------
-    board : Chessboard
+    board : Board
     criteria : Criteria
 
     Attributes
@@ -88,7 +88,7 @@ class FrameFilter:
         Frames by the reason for which they were not kept.
     """
 
-    def __init__(self, board: Chessboard, criteria: Criteria = Criteria()) -> None:
+    def __init__(self, board: Board, criteria: Criteria = Criteria()) -> None:
         self.board = board
         self.criteria = criteria
         self.read = 0
@@ -209,7 +209,7 @@ class Session:
 
     Parameters
     ----------
-    board : Chessboard
+    board : Board
     views_required : int
         Views to keep, 1 or more.
     method : {"map", "zhu2020", "zhang"}
@@ -221,7 +221,7 @@ class Session:
 
     def __init__(
         self,
-        board: Chessboard,
+        board: Board,
         views_required: int = 2,
         method: str = "map",
         priors: Priors = Priors(),

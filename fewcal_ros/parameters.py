@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from fewcal.boards import Chessboard, parse_board
+from fewcal.boards import Board, parse_board
 from fewcal.calibration import METHODS
 from fewcal.camera_info import check_camera_name
 from fewcal.constraints import Priors
@@ -202,7 +202,7 @@ class Parameters:
         return replace(self, **{known[name]: values[name] for name in values if name in known})
 
     @cached_property
-    def target(self) -> Chessboard:
+    def target(self) -> Board:
         """The board, parsed."""
         return parse_board(self.board)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .chessboard import Chessboard
 from .detection import Detection
+from .drawing import Drawing
 from .errors import InvalidInput
 
 __all__ = ["Board", "Chessboard", "parse_board"]
@@ -44,6 +45,15 @@ class Board(Protocol):
             When the board cannot be located; `reason` is one of ``BoardNotFound.REASONS``.
         InvalidInput
             When the array is no image.
+        """
+
+    def draw(self) -> Drawing:
+        """What is printed, in the board frame.
+
+        Raises
+        ------
+        InvalidInput
+            When the board is an object that is not printed.
         """
 
 

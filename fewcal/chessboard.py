@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 from .board_fields import COUNTS, check_length, is_count, lattice, match_form, read_number
 from .chessboard_detection import detect_chessboard
 from .detection import Detection
+from .drawing import Drawing, cells
 from .errors import InvalidInput
 from .grey import as_grey
+
+MARGIN = 0.25
+"""White margin, squares: every interior corner has its four squares about it already, so it only has to keep
+them apart from what lies behind."""
 
 
 @dataclass(frozen=True)
@@ -68,3 +73,15 @@ class Chessboard:
     def detect(self, image: NDArray[Any], source: str = "", stamp_ns: int | None = None) -> Detection:
         """Find the whole board in an image, see :meth:`fewcal.Board.detect`."""
         return detect_chessboard(as_grey(image), self, source, stamp_ns)
+
+    def draw(self) -> Drawing:
+        """Squares all round the interior corners; the one at the origin's outer side is black."""
+        edge = float(self.square_size)
+        black = np.indices((self.rows + 1, self.columns + 1)).sum(axis=0) % 2 == 0
+        margin = MARGIN * edge
+        return Drawing(
+            cells(black, -edge, -edge, edge),
+            np.empty((0, 3)),
+            (-edge - margin, -edge - margin, self.columns * edge + margin, self.rows * edge + margin),
+            f"square {1e3 * edge:g} mm",
+        )

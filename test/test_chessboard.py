@@ -38,3 +38,16 @@ def test_counts_that_are_no_chessboard(columns: object) -> None:
         Chessboard(columns, 6, 0.025)  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match=r"at least 3 .* but rows is"):
         Chessboard(9, columns, 0.025)  # type: ignore[arg-type]
+
+
+def test_the_drawing_has_four_squares_about_every_corner() -> None:
+    board = Chessboard(4, 3, 0.03)
+    drawing = board.draw()
+    quarter = 0.25 * board.square_size * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    around = drawing.is_black(board.points[:, None, :2] + quarter)
+    first_black = np.indices((3, 4)).sum(axis=0).ravel() % 2 == 0
+    np.testing.assert_array_equal(around[first_black], [[True, False, True, False]] * 6)
+    np.testing.assert_array_equal(around[~first_black], [[False, True, False, True]] * 6)
+    np.testing.assert_allclose(drawing.ink, [-0.03, -0.03, 0.12, 0.09])
+    np.testing.assert_allclose(drawing.size, [5.5 * 0.03, 4.5 * 0.03])
+    assert drawing.caption == "square 30 mm"

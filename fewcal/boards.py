@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .chessboard import Chessboard
+from .circle_grid import AsymmetricCircleGrid, CircleGrid
 from .detection import Detection
 from .drawing import Drawing
 from .errors import InvalidInput
 
-__all__ = ["Board", "Chessboard", "parse_board"]
+__all__ = ["AsymmetricCircleGrid", "Board", "Chessboard", "CircleGrid", "parse_board"]
 
 
 @runtime_checkable
@@ -68,7 +69,11 @@ class _Kind(Protocol):
         """Read a board from its whole text form."""
 
 
-_KINDS: dict[str, _Kind] = {"chessboard": Chessboard}
+_KINDS: dict[str, _Kind] = {
+    "chessboard": Chessboard,
+    "circles": CircleGrid,
+    "acircles": AsymmetricCircleGrid,
+}
 """Kinds of boards by the word that their text form begins with."""
 
 

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 """Grey levels and what they are compared with: half the memory, and 24 bits are more than cameras have."""
 Model = Callable[[Pixels, Pixels], tuple[Pixels, Pixels]]
-"""Brightness (N, P) and its derivatives (N, K, P) by the parameters (N, K), at offsets (2, P)."""
+"""Brightness (N, P) and its derivatives (N, K, P) by the parameters (N, K), at offsets as in `Windows`."""
 
 FLOOR_PX = 0.005
 """Least sd of a location: print, paper and lens models are not better than this, however low the noise."""
@@ -34,8 +34,8 @@ class Windows(NamedTuple):
 
     Attributes
     ----------
-    x : (2, P)
-        Offsets from the middle of each window, pixels.
+    x : (2, P) or (2, N, P)
+        Offsets from the middle of each window, pixels, the same for all windows or different ones.
     values : (N, P)
         Grey levels.
     weights : (N, P)
@@ -97,7 +97,8 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
     for _ in range(_ITERATIONS):
         step = _solve(normal[moving], gradient[moving, :, None], damping[moving])[..., 0]
         trial = np.clip(p[moving] + step, lower, upper)
-        taken = Windows(windows.x, values[moving], weights[moving])
+        x = windows.x if windows.x.ndim == 2 else windows.x[:, moving]
+        taken = Windows(x, values[moving], weights[moving])
         trial_cost, trial_normal, trial_gradient = _linearise(model, trial, taken)
         better = trial_cost < cost[moving]
         damping[moving] *= np.where(better, 0.1, 10.0)

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from .charuco import Charuco
 from .chessboard import Chessboard
+from .circle_grid import AsymmetricCircleGrid, CircleGrid
 from .detection import Detection
 from .drawing import Drawing
 from .errors import InvalidInput
 
-__all__ = ["Board", "Charuco", "Chessboard", "parse_board"]
+__all__ = ["AsymmetricCircleGrid", "Board", "Charuco", "Chessboard", "CircleGrid", "parse_board"]
 
 
 @runtime_checkable
@@ -69,7 +70,12 @@ class _Kind(Protocol):
         """Read a board from its whole text form."""
 
 
-_KINDS: dict[str, _Kind] = {"chessboard": Chessboard, "charuco": Charuco}
+_KINDS: dict[str, _Kind] = {
+    "chessboard": Chessboard,
+    "charuco": Charuco,
+    "circles": CircleGrid,
+    "acircles": AsymmetricCircleGrid,
+}
 """Kinds of boards by the word that their text form begins with."""
 
 

@@ -40,6 +40,14 @@ def marker_picture(
     return render(camera, SIZE, board, T, conditions), camera.project(board.points, T)
 
 
+def two_parts() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Two views that make a good camera, the board beyond the lower right and the upper left border."""
+    return (
+        marker_picture(CHARUCO, 70, 40, 10, shift_px=(210, 130))[0],
+        marker_picture(CHARUCO, 70, 40, 100, shift_px=(-200, -130))[0],
+    )
+
+
 def indices(board: Board, found: Detection) -> NDArray[np.intp]:
     """Which of ``board.points`` were found."""
     away = np.linalg.norm(board.points[:, None] - found.view.object_points, axis=2)

@@ -14,9 +14,11 @@ from pathlib import Path
 import pytest
 from live_cell import BAGS, BOARD, LOSSLESS, TIMEOUT_S, Cell, Process, robot_cell, wait_until
 from machine import crowding
+from marker_pictures import CHARUCO, needs_markers, two_parts
 from rclpy.qos import ReliabilityPolicy
 from ros_domain import own_domain
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from write_recordings import IMAGE, Sample, write_mcap
 
 from fewcal.boards import parse_board
 from fewcal.camera_info import read_camera_info, write_camera_info
@@ -100,6 +102,26 @@ class TestByItself:
         assert file.read_bytes() == (tmp_path / "offline.yaml").read_bytes()
         assert_ends_well(node, signal.SIGINT)
         assert len(infos) == 1
+
+    @needs_markers
+    def test_parts_of_a_charuco_board_are_enough(self, cell, tmp_path):
+        stamps = [1_700_000_000 * 10**9 + i * 10**9 for i in range(2)]
+        samples = [
+            Sample("/image", stamp, IMAGE, (*part.shape, "mono8", 0, part.shape[1], part.ravel()), stamp)
+            for stamp, part in zip(stamps, two_parts(), strict=True)
+        ]
+        recording = write_mcap(tmp_path, samples)
+        cell.start_node(*LOSSLESS, queue_size=100, board=str(CHARUCO))
+        infos, pictures = cell.client.camera_info(), cell.client.annotated()
+        camera = cell.start_camera(str(recording))
+        camera.tell(play=[0, 1])
+        cell.client.wait_for(views="2", usable="yes", level="OK", board=str(CHARUCO))
+        info = wait_until(lambda: infos, "camera_info")[0]
+        with open_frames([recording]) as frames:
+            expected = calibrate_frames(frames, Settings(CHARUCO, select="first")).calibration
+        assert [len(view) for view in expected.views] == [18, 21]
+        assert list(info.k) == expected.camera.matrix.ravel().tolist()
+        wait_until(lambda: pictures, "an annotated image")
 
     def test_who_comes_late_receives_the_camera(self, cell):
         cell.start_node(*LOSSLESS, queue_size=100)

@@ -18,7 +18,7 @@ from marker_pictures import CHARUCO, needs_markers, two_parts
 from rclpy.qos import ReliabilityPolicy
 from ros_domain import own_domain
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from write_recordings import IMAGE, Sample, write_mcap
+from write_recordings import IMAGE, Sample, write_rosbag1
 
 from fewcal.boards import parse_board
 from fewcal.camera_info import read_camera_info, write_camera_info
@@ -110,7 +110,7 @@ class TestByItself:
             Sample("/image", stamp, IMAGE, (*part.shape, "mono8", 0, part.shape[1], part.ravel()), stamp)
             for stamp, part in zip(stamps, two_parts(), strict=True)
         ]
-        recording = write_mcap(tmp_path, samples)
+        recording = write_rosbag1(tmp_path, samples)
         cell.start_node(*LOSSLESS, queue_size=100, board=str(CHARUCO))
         infos, pictures = cell.client.camera_info(), cell.client.annotated()
         camera = cell.start_camera(str(recording))
@@ -121,6 +121,7 @@ class TestByItself:
             expected = calibrate_frames(frames, Settings(CHARUCO, select="first")).calibration
         assert [len(view) for view in expected.views] == [18, 21]
         assert list(info.k) == expected.camera.matrix.ravel().tolist()
+        camera.tell(hold=1)
         wait_until(lambda: pictures, "an annotated image")
 
     def test_who_comes_late_receives_the_camera(self, cell):

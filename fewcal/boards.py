@@ -11,13 +11,22 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from .charuco import Charuco
 from .chessboard import Chessboard
 from .circle_grid import AsymmetricCircleGrid, CircleGrid
 from .detection import Detection
 from .drawing import Drawing
 from .errors import InvalidInput
 
-__all__ = ["AsymmetricCircleGrid", "Board", "Chessboard", "CircleGrid", "parse_board", "pose_ambiguity"]
+__all__ = [
+    "AsymmetricCircleGrid",
+    "Board",
+    "Charuco",
+    "Chessboard",
+    "CircleGrid",
+    "parse_board",
+    "pose_ambiguity",
+]
 
 
 @runtime_checkable
@@ -75,6 +84,7 @@ class _Kind(Protocol):
 
 _KINDS: dict[str, _Kind] = {
     "chessboard": Chessboard,
+    "charuco": Charuco,
     "circles": CircleGrid,
     "acircles": AsymmetricCircleGrid,
 }

@@ -118,7 +118,7 @@ def _windows(
     """Pixels of each disc and of the white about it, or of them those near the edge."""
     semi_axis = np.sqrt(np.linalg.inv(shapes)[:, [0, 1], [0, 1]].max())
     radius = min(reach * semi_axis, semi_axis + band_px)
-    x, values, weights = cut_windows(image, origin, math.ceil(radius) + 1)
+    x, values, weights, _ = cut_windows(image, origin, math.ceil(radius) + 1)
     u = x - offset.astype(np.float32)[..., None]
     along = shapes.astype(np.float32) @ u
     q_squared = np.einsum("nip,nip->np", u, along)
@@ -136,7 +136,7 @@ def _windows(
 
 def _initial(offset: Array, shapes: Array, windows: Windows) -> Array:
     """Start of the fit: c, S, blur, brightness, contrast, slope of the light."""
-    x, values, weights = windows
+    x, values, weights, _ = windows
     p = np.zeros((len(offset), _PARAMETERS))
     p[:, :2] = offset
     p[:, 2:5] = shapes.reshape(-1, 4)[:, [0, 1, 3]]

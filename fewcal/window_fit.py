@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 """Grey levels and what they are compared with: half the memory, and 24 bits are more than cameras have."""
-Model = Callable[[Pixels, Pixels], tuple[Pixels, Pixels]]
-"""Brightness (N, P) and its derivatives (N, K, P) by the parameters (N, K), at offsets as in `Windows`."""
+Model = Callable[..., tuple[Pixels, Pixels]]
+"""Brightness (N, P) and its derivatives (N, K, P) by the parameters (N, K); it is given these, offsets as in
+`Windows`, and what constants of the windows there are."""
 
 FLOOR_PX = 0.002
 """Least sd of a location: what the models leave out, however low the noise. That of print, paper and lens is
@@ -41,11 +42,14 @@ class Windows(NamedTuple):
         Grey levels.
     weights : (N, P)
         1 for pixels that count, 0 for the others.
+    constants : tuple of (N, ...)
+        What else the model has to know about each.
     """
 
     x: Pixels
     values: Pixels
     weights: Pixels
+    constants: tuple[Pixels, ...] = ()
 
 
 class WindowFit(NamedTuple):
@@ -90,7 +94,7 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
     lower, upper : (K,)
         Bounds of the parameters.
     """
-    _, values, weights = windows
+    values, weights = windows.values, windows.weights
     p = start.copy()
     damping = np.full(len(p), 1e-3)
     cost, normal, gradient = _linearise(model, p, windows)
@@ -99,7 +103,8 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
         step = _solve(normal[moving], gradient[moving, :, None], damping[moving])[..., 0]
         trial = np.clip(p[moving] + step, lower, upper)
         x = windows.x if windows.x.ndim == 2 else windows.x[:, moving]
-        taken = Windows(x, values[moving], weights[moving])
+        constants = tuple(each[moving] for each in windows.constants)
+        taken = Windows(x, values[moving], weights[moving], constants)
         trial_cost, trial_normal, trial_gradient = _linearise(model, trial, taken)
         better = trial_cost < cost[moving]
         damping[moving] *= np.where(better, 0.1, 10.0)
@@ -121,8 +126,8 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
 
 def _linearise(model: Model, p: Array, windows: Windows) -> tuple[Array, Array, Array]:
     """Sum of squares (N,), normal matrix (N, K, K) and right side (N, K) at given parameters."""
-    x, values, weights = windows
-    brightness, J = model(p.astype(np.float32), x)
+    x, values, weights, constants = windows
+    brightness, J = model(p.astype(np.float32), x, *constants)
     residual = (values - brightness) * weights
     J *= weights[:, None]  # 0 or 1, as good as its square
     cost = np.einsum("np,np->n", residual, residual, dtype=np.float64)

@@ -32,7 +32,7 @@ def spots(noise: float, count: int = 400) -> tuple[Windows, NDArray[np.float64]]
 @pytest.mark.parametrize("noise", [1.0, 8.0])
 def test_the_location_scatters_as_its_sigma_says(noise: float) -> None:
     windows, true = spots(noise)
-    fit = fit_windows(spot, true + [0.5, -0.5, 10, 5], windows, -NONE, NONE)
+    fit = fit_windows(spot, true + np.array([0.5, -0.5, 10, 5]), windows, -NONE, NONE)
     z = (fit.parameters[:, :2] - true[:, :2]) / fit.sigma[:, None]
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1, abs=0.08)
     assert (fit.explained > 0.4).all()
@@ -46,7 +46,7 @@ def test_windows_may_each_have_their_own_pixels() -> None:
         windows.x[:, chosen], np.take_along_axis(windows.values, chosen, 1), np.ones_like(windows.values)
     )
     assert own.x.shape == (2, count, windows.x.shape[1])
-    start = true + [0.5, -0.5, 10, 5]
+    start = true + np.array([0.5, -0.5, 10, 5])
     common = fit_windows(spot, start, windows, -NONE, NONE)
     np.testing.assert_allclose(
         fit_windows(spot, start, own, -NONE, NONE).parameters, common.parameters, atol=1e-3

@@ -53,6 +53,7 @@ class Charuco:
         "charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY, for example charuco:7x5:0.04:0.03:DICT_5X5_100 "
         "(squares, metres; :legacy at the end for boards with even rows printed before OpenCV 4.6)"
     )
+    turns: ClassVar[int] = 1
 
     columns: int
     rows: int

@@ -8,6 +8,8 @@ The order of the points is that of the board's ``points``, and it is always the 
 - Of the turns in which the pattern fits, the first circle is the one nearest to the top left corner of the
   image, measured as u + v. An asymmetric grid with an odd number of rows (4x11) fits in one turn only; all
   other grids look the same turned by half, square ones by a quarter.
+
+In a mirror most grids look the same, and are found; asymmetric ones with an even number of rows do not.
 """
 
 from __future__ import annotations

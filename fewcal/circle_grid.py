@@ -70,6 +70,11 @@ class CircleGrid:
         """(columns * rows, 3) centres, metres, row by row: x varies fastest, z = 0."""
         return _centres(self.pattern, self.spacing)
 
+    @property
+    def turns(self) -> int:
+        """Turns in which it looks the same: 2, or 4 when it is square."""
+        return 4 if self.columns == self.rows else 2
+
     def detect(self, image: NDArray[Any], source: str = "", stamp_ns: int | None = None) -> Detection:
         """Find the whole board in an image, see :meth:`fewcal.Board.detect`."""
         return detect_circles(as_grey(image), self, source, stamp_ns)
@@ -129,6 +134,11 @@ class AsymmetricCircleGrid:
     def points(self) -> NDArray[np.float64]:
         """(columns * rows, 3) centres, metres, row by row: x varies fastest, z = 0."""
         return _centres(self.pattern, self.spacing)
+
+    @property
+    def turns(self) -> int:
+        """Turns in which it looks the same: 2 when the number of rows is even, else 1."""
+        return 1 if self.rows % 2 else 2
 
     def detect(self, image: NDArray[Any], source: str = "", stamp_ns: int | None = None) -> Detection:
         """Find the whole board in an image, see :meth:`fewcal.Board.detect`."""

@@ -20,8 +20,9 @@ Model = Callable[..., tuple[Pixels, Pixels]]
 """Brightness (N, P) and its derivatives (N, K, P) by the parameters (N, K); it is given these, offsets as in
 `Windows`, and what constants of the windows there are."""
 
-FLOOR_PX = 0.005
-"""Least sd of a location: print, paper and lens models are not better than this, however low the noise."""
+FLOOR_PX = 0.002
+"""Least sd of a location: what the models leave out, however low the noise. That of print, paper and lens is
+larger, and accounted for with the view."""
 QUANTISATION = 1 / 12
 """Variance of rounding to whole grey levels: no image has less noise."""
 _ITERATIONS = 14

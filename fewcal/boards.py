@@ -11,6 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from .aprilgrid import AprilGrid
 from .charuco import Charuco
 from .chessboard import Chessboard
 from .circle_grid import AsymmetricCircleGrid, CircleGrid
@@ -19,6 +20,7 @@ from .drawing import Drawing
 from .errors import InvalidInput
 
 __all__ = [
+    "AprilGrid",
     "AsymmetricCircleGrid",
     "Board",
     "Charuco",
@@ -85,6 +87,7 @@ class _Kind(Protocol):
 _KINDS: dict[str, _Kind] = {
     "chessboard": Chessboard,
     "charuco": Charuco,
+    "aprilgrid": AprilGrid,
     "circles": CircleGrid,
     "acircles": AsymmetricCircleGrid,
 }

@@ -131,6 +131,7 @@ class TestByItself:
             expected = calibrate_frames(frames, Settings(CHARUCO, select="first")).calibration
         assert [len(view) for view in expected.views] == [18, 21]
         assert list(info.k) == expected.camera.matrix.ravel().tolist()
+        camera.tell(hold=1)
         wait_until(lambda: pictures, "an annotated image")
 
     @pytest.mark.parametrize("board", [SYMMETRIC, ASYMMETRIC], ids=str)

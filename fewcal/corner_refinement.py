@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from .grid import local_axes
 from .saddle_points import Image
+from .window_fit import Pixels, Windows, cut_windows, fit_windows
 
 Array = NDArray[np.float64]
-Pixels = NDArray[np.float32]
-"""Grey levels and what they are compared with: half the memory, and 24 bits are more than cameras have."""
 
 WINDOW_SHARE = 0.42
 """Half width of the window as a share of the square, each way: clear of the next edge with its blur."""
@@ -33,22 +32,16 @@ MAX_RADIUS_PX = 10
 """Largest half width: 20 px of each edge; more would cost time and see the edges bend by distortion."""
 MIN_RADIUS_PX = 2.0
 """Smallest half width: below it ten parameters have hardly more pixels than themselves."""
-FLOOR_PX = 0.005
-"""Least sd of a corner: print, paper and lens models are not better than this, however low the noise."""
 MIN_EXPLAINED = 0.6
 """Share of the window's variance that the model must explain: 0.95 and more at a clean corner."""
 MIN_CONTRAST_SHARE = 0.2
 """Least step of brightness at a corner, as a share of the board's median: light falls off and glare
 fills dark squares."""
-QUANTISATION = 1 / 12
-"""Variance of rounding to whole grey levels: no image has less noise."""
 MIN_BLUR_PX, MAX_BLUR_PX = 0.3, 30.0
 """A pixel is itself a blur of 0.29 px; beyond 30 px no window resolves the edge."""
-_ITERATIONS = 14
-"""Levenberg-Marquardt steps; 5 to 8 suffice from the saddle point."""
-_CONVERGED_PX = 3e-3
-"""Steps of the location below this are far below its sd."""
 _PARAMETERS = 10
+_LOWER, _UPPER = np.full((2, _PARAMETERS), [[-np.inf], [np.inf]])
+_LOWER[4:6], _UPPER[4:6] = MIN_BLUR_PX, MAX_BLUR_PX
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,66 +98,30 @@ def refine_corners(image: Image, grid: Array) -> RefinedCorners:
 def _fit(image: Image, start: Array, axes: Array) -> tuple[Array, Array, Array]:
     """Fit the model at every start; parameters (N, 10), sigma (N,) and share explained (N,)."""
     origin = np.rint(start)
-    x, values, weights = _windows(image, origin, axes)
-    p = _initial(start - origin, axes, x, values, weights)
-    damping = np.full(len(p), 1e-3)
-    cost, normal, gradient = _linearise(p, x, values, weights)
-    moving = np.arange(len(p))
-    for _ in range(_ITERATIONS):
-        step = _solve(normal[moving], gradient[moving, :, None], damping[moving])[..., 0]
-        trial = _bounded(p[moving] + step)
-        trial_cost, trial_normal, trial_gradient = _linearise(trial, x, values[moving], weights[moving])
-        better = trial_cost < cost[moving]
-        damping[moving] *= np.where(better, 0.1, 10.0)
-        done = moving[better]
-        p[done], cost[done] = trial[better], trial_cost[better]
-        normal[done], gradient[done] = trial_normal[better], trial_gradient[better]
-        moving = moving[np.abs(step[:, :2]).max(axis=1) > _CONVERGED_PX]
-        if len(moving) == 0:
-            break
-    pixels = np.maximum(weights.sum(axis=1), 1)
-    mean = np.sum(weights * values, axis=1) / pixels
-    variance = np.sum(weights * (values - mean[:, None]) ** 2, axis=1)
-    noise = np.maximum(cost / np.maximum(pixels - _PARAMETERS, 1), QUANTISATION)
-    covariance = _solve(normal, np.broadcast_to(np.eye(_PARAMETERS), normal.shape), np.zeros(len(p)))
-    spread = np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], 0) / 2
-    sigma = np.sqrt(spread * noise + FLOOR_PX**2)
-    explained = 1 - cost / np.maximum(variance, QUANTISATION * pixels)
+    windows = _windows(image, origin, axes)
+    p, sigma, explained = fit_windows(
+        _model, _initial(start - origin, axes, windows), windows, _LOWER, _UPPER
+    )
     p[:, :2] += origin
     return p, sigma, explained
 
 
-def _linearise(p: Array, x: Pixels, values: Pixels, weights: Pixels) -> tuple[Array, Array, Array]:
-    """Sum of squares (N,), normal matrix (N, 10, 10) and right side (N, 10) at given parameters."""
-    model, J = _model(p.astype(np.float32), x)
-    residual = (values - model) * weights
-    J *= weights[:, None]  # 0 or 1, as good as its square
-    cost = np.einsum("np,np->n", residual, residual, dtype=np.float64)
-    normal, gradient = J @ np.swapaxes(J, 1, 2), (J @ residual[..., None])[..., 0]
-    return cost, normal.astype(np.float64), gradient.astype(np.float64)
-
-
-def _windows(image: Image, origin: Array, axes: Array) -> tuple[Pixels, Pixels, Pixels]:
-    """Pixels around each corner: offsets (2, P), grey levels (N, P) and weights (N, P), 0 outside."""
+def _windows(image: Image, origin: Array, axes: Array) -> Windows:
+    """Pixels around each corner, as far as its squares reach."""
     reach = WINDOW_SHARE * np.abs(axes).sum(axis=1).max()
     radius = int(np.clip(np.ceil(reach), MIN_RADIUS_PX, MAX_RADIUS_PX))
-    dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1].reshape(2, -1)
-    column = origin[:, :1].astype(np.intp) + dx
-    row = origin[:, 1:].astype(np.intp) + dy
-    height, width = image.shape
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    values = image[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)].astype(np.float32)
-    x = np.stack([dx, dy]).astype(np.float32)
+    x, values, inside = cut_windows(image, origin, radius)
     # In units of squares along the two axes of the grid; never narrower than the least radius.
     length = np.linalg.norm(axes, axis=2)
     reach = np.clip(WINDOW_SHARE * length, MIN_RADIUS_PX, MAX_RADIUS_PX)
     unit = axes / np.maximum(length, 1e-9)[..., None]
     along = np.abs(np.swapaxes(np.linalg.pinv(unit), 1, 2) @ x)
-    return x, values, (inside & (along <= reach[..., None]).all(axis=1)).astype(np.float32)
+    return Windows(x, values, inside * (along <= reach[..., None]).all(axis=1))
 
 
-def _initial(offset: Array, axes: Array, x: Pixels, values: Pixels, weights: Pixels) -> Array:
+def _initial(offset: Array, axes: Array, windows: Windows) -> Array:
     """Start of the fit: c, two edge angles, two blurs, brightness, contrast, slope of the light."""
+    x, values, weights = windows
     p = np.zeros((len(offset), _PARAMETERS))
     p[:, :2] = offset
     p[:, 2:4] = np.arctan2(axes[..., 1], axes[..., 0])
@@ -216,17 +173,3 @@ def _edge(
     t = (dy * cos - dx * sin) / blur
     slope = np.exp(-0.5 * t * t) * (math.sqrt(2 / math.pi) / blur)
     return erf(t * math.sqrt(0.5)), slope, dx * cos + dy * sin, t, cos, sin
-
-
-def _bounded(p: Array) -> Array:
-    """Keep the blurs where they mean something."""
-    p[:, 4:6] = np.clip(p[:, 4:6], MIN_BLUR_PX, MAX_BLUR_PX)
-    return p
-
-
-def _solve(normal: Array, right: Array, damping: Array) -> Array:
-    """Solve damped normal equations, scaled by their diagonal so that units do not matter."""
-    scale = np.sqrt(np.maximum(np.einsum("nkk->nk", normal), 1e-20))
-    scaled = normal / (scale[:, :, None] * scale[:, None, :])
-    scaled[:, range(_PARAMETERS), range(_PARAMETERS)] += damping[:, None] + 1e-9
-    return np.asarray(np.linalg.solve(scaled, right / scale[:, :, None]) / scale[:, :, None])

@@ -15,8 +15,8 @@ sub-pixel
     is less.
 
 rms is the error of a corner over both coordinates, median over the images in which the detector found the
-board; ratio is fewcal's over that of the better of OpenCV's, median over the images; found counts boards. z is
-the rms of fewcal's error over the sigma it reports (1 is right). Bias is the mean error of fewcal towards the
+board; ratio is fewcal's over that of the better of OpenCV's, median over the images; found counts boards. z
+is the rms of fewcal's error over the sigma it reports (1 is right). Bias is the mean error of fewcal towards the
 light, and away from the middle of the image, thousandths of a pixel, with its standard error.
 """
 
@@ -42,7 +42,7 @@ BOARD = Chessboard(9, 6, 0.025)
 BORDER_PX = 6.0
 """The whole board, to its outermost squares, is at least so far inside the image."""
 OVERSAMPLING = 3
-"""Blur below a pixel is rendered on a grid so fine; on that of the pixels it would displace corners itself."""
+"""Blur below a pixel is rendered on a grid so fine; on that of the pixels it would move corners itself."""
 FOUND_PX = 2.0
 """A detector whose rms error is larger has found something else."""
 

@@ -1,6 +1,6 @@
 """Load the node with large images, and print what it takes in, how fast it answers and what memory it keeps.
 
-    python experiments/live_load.py [--minutes 2] [--rate 30] [--best-effort [--profile XML]] [--auto]
+    python experiments/live_load.py [--minutes 2] [--rate 30] [--best-effort] [--profile X] [--auto | --bare]
 
 A camera in a process of its own publishes rendered 1920x1080 mono8 frames: a board held still at one pose,
 then at the next. The node runs in another, and this process calls its services as a robot program would.
@@ -37,6 +37,7 @@ MOVE_S = 1.0
 """How long the robot moves before it asks for a view."""
 SETTLE_S = 3.0
 """By then the node has found out how reliable the camera is."""
+BARE_WINDOW_S = 10.0
 WARM_UP_S = 60.0
 """Memory is compared with what it was after this time."""
 
@@ -192,6 +193,27 @@ def load(program: RobotProgram, node: int, minutes: float, work: Callable[[], No
         )
 
 
+def subscribe_only(minutes: float, best_effort: bool) -> None:
+    """What the middleware gives a subscriber that does nothing: images a second, and the longest gap."""
+    import rclpy
+    from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+    from sensor_msgs.msg import Image
+
+    rclpy.init()
+    node = rclpy.create_node("subscriber")
+    times: list[float] = []
+    reliable = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+    qos = qos_profile_sensor_data if best_effort else reliable
+    node.create_subscription(Image, "image", lambda _: times.append(time.monotonic()), qos)
+    while not times or times[-1] < times[0] + 60 * minutes:
+        rclpy.spin_once(node)
+    for first in np.arange(times[0], times[-1], BARE_WINDOW_S)[:-1]:
+        inside = [at for at in times if first <= at < first + BARE_WINDOW_S]
+        gap = max(np.diff(inside), default=BARE_WINDOW_S)
+        rate = len(inside) / BARE_WINDOW_S
+        print(f"{first - times[0]:5.0f} s: {rate:.1f} images a second, gaps up to {gap:.3f} s")
+
+
 def main() -> None:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -200,6 +222,7 @@ def main() -> None:
     parser.add_argument("--best-effort", action="store_true", help="sensor-data QoS; else reliable")
     parser.add_argument("--profile", help="profiles of Fast DDS for the camera, see config/")
     parser.add_argument("--auto", action="store_true", help="the node takes views by itself")
+    parser.add_argument("--bare", action="store_true", help="a subscriber that does nothing, not the node")
     parser.add_argument("--camera", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.camera:
@@ -209,13 +232,18 @@ def main() -> None:
     profile = (
         {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(options.profile).resolve())} if options.profile else {}
     )
+    camera = [__file__, "--camera", "--rate", str(options.rate), *best_effort]
+    if options.bare:
+        with running(*camera, environment=profile):
+            subscribe_only(options.minutes, options.best_effort)
+        return
     with TemporaryDirectory() as folder:
         parameters = {"board": BOARD, "output_path": f"{folder}/", "auto_capture": options.auto}
         given = [
             part for name, value in parameters.items() for part in ("-p", f"{name}:={json.dumps(value)}")
         ]
         with (
-            running(__file__, "--camera", "--rate", str(options.rate), *best_effort, environment=profile),
+            running(*camera, environment=profile),
             running("-m", "fewcal_ros.node_command", "--ros-args", "--log-level", "error", *given) as node,
         ):
             program = RobotProgram()

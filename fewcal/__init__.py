@@ -1,6 +1,6 @@
 """fewcal: camera calibration from one or two views of a board, with error bars that are true."""
 
-from .boards import Board, Chessboard, parse_board
+from .boards import AsymmetricCircleGrid, Board, Charuco, Chessboard, CircleGrid, parse_board, pose_ambiguity
 from .calibration import Calibration, calibrate
 from .camera import Camera
 from .camera_info import read_camera_info, write_camera_info
@@ -19,11 +19,14 @@ from .verdict import Thresholds, Verdict
 from .views import View
 
 __all__ = [
+    "AsymmetricCircleGrid",
     "Board",
     "BoardNotFound",
     "Calibration",
     "Camera",
+    "Charuco",
     "Chessboard",
+    "CircleGrid",
     "DegenerateViews",
     "FewcalError",
     "ImaginaryFocalLength",
@@ -40,6 +43,7 @@ __all__ = [
     "calibrate",
     "detect",
     "parse_board",
+    "pose_ambiguity",
     "read_camera_info",
     "write_camera_info",
 ]

@@ -11,12 +11,22 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from .charuco import Charuco
 from .chessboard import Chessboard
+from .circle_grid import AsymmetricCircleGrid, CircleGrid
 from .detection import Detection
 from .drawing import Drawing
 from .errors import InvalidInput
 
-__all__ = ["Board", "Chessboard", "parse_board"]
+__all__ = [
+    "AsymmetricCircleGrid",
+    "Board",
+    "Charuco",
+    "Chessboard",
+    "CircleGrid",
+    "parse_board",
+    "pose_ambiguity",
+]
 
 
 @runtime_checkable
@@ -26,6 +36,10 @@ class Board(Protocol):
     @property
     def points(self) -> NDArray[np.float64]:
         """(N, 3) points in the board frame, metres, all with z = 0."""
+
+    @property
+    def turns(self) -> int:
+        """In how many turns about its own normal the board looks the same; 1 when it has but one way up."""
 
     def detect(self, image: NDArray[Any], source: str = "", stamp_ns: int | None = None) -> Detection:
         """Find the board in an image.
@@ -68,7 +82,12 @@ class _Kind(Protocol):
         """Read a board from its whole text form."""
 
 
-_KINDS: dict[str, _Kind] = {"chessboard": Chessboard}
+_KINDS: dict[str, _Kind] = {
+    "chessboard": Chessboard,
+    "charuco": Charuco,
+    "circles": CircleGrid,
+    "acircles": AsymmetricCircleGrid,
+}
 """Kinds of boards by the word that their text form begins with."""
 
 
@@ -91,3 +110,19 @@ def parse_board(text: str) -> Board:
         forms = "; or ".join(known.form for known in _KINDS.values())
         raise InvalidInput(f"There is no board kind {kind!r}; write {forms}.")
     return _KINDS[kind].parse(text)
+
+
+def pose_ambiguity(board: Board) -> str:
+    """Say what follows when a board looks the same turned in its plane; empty when it does not.
+
+    The camera is none the worse, since every view has a pose of its own. But what compares the poses of
+    several views, or of several cameras, takes one way up for the other.
+    """
+    if board.turns == 1:
+        return ""
+    return (
+        f"{board} looks the same turned by {360 // board.turns} degrees: the camera is calibrated all the "
+        "same, but T_camera_board may be turned by as much from view to view, so do not use the poses for "
+        "hand-eye or extrinsic calibration; a chessboard with an odd and an even count, such as 9x6, has one "
+        "way up."
+    )

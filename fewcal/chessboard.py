@@ -70,6 +70,13 @@ class Chessboard:
         """(columns * rows, 3) interior corners, metres, row by row: x varies fastest, z = 0."""
         return lattice(self.columns, self.rows, self.square_size)
 
+    @property
+    def turns(self) -> int:
+        """Turns in which it looks the same: 1 when columns and rows differ by an odd number, else 2 or 4."""
+        if (self.columns - self.rows) % 2:
+            return 1
+        return 4 if self.columns == self.rows and self.columns % 2 == 0 else 2
+
     def detect(self, image: NDArray[Any], source: str = "", stamp_ns: int | None = None) -> Detection:
         """Find the whole board in an image, see :meth:`fewcal.Board.detect`."""
         return detect_chessboard(as_grey(image), self, source, stamp_ns)

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +28,7 @@ from .errors import BoardNotFound
 from .grey import GreyImage
 from .grid import fill_gaps, find_grids, local_axes, predict, square_size
 from .planarity import planar_residuals
+from .reduction import SEARCHED_PX, reduce, reductions
 from .saddle_points import find_saddle_points, sample
 from .views import View
 
@@ -37,11 +37,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-COARSEST_PX = 300
-"""No reduced copy is smaller than this on its long side: a board across half of it has squares of 15 px."""
-SEARCHED_PX = 1000
-"""Copies up to this size are always searched, larger ones only when there is evidence of a board; on a
-1920x1080 image that is every copy but the full one."""
 SMALL_SQUARE_PX = 8.0
 """Squares smaller than this in one copy are shown better by the next; larger ones gain nothing."""
 MIN_GOOD_SHARE = 0.75
@@ -69,10 +64,10 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
     """Locate the first grid of the board's size that stands all tests, coarse to fine."""
     largest = np.empty((0, 0, 2))
     failure: BoardNotFound | None = None
-    for factor in _reductions(grey):
+    for factor in reductions(grey):
         if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(largest / factor):
             break
-        reduced = _reduce(grey, factor)
+        reduced = reduce(grey, factor)
         for found in find_grids(reduced, find_saddle_points(reduced)):
             grid = (found + 0.5) * factor - 0.5
             if sorted(grid.shape[:2]) == sorted((board.columns, board.rows)):
@@ -88,23 +83,6 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
 def _shows_small_squares(grid: Array) -> bool:
     """Whether a grid was found whose squares are so small that a finer copy may show more of it."""
     return min(grid.shape[:2]) >= 3 and square_size(grid) < SMALL_SQUARE_PX
-
-
-def _reductions(grey: GreyImage) -> list[int]:
-    """Factors of the reduced copies, coarse to fine, each half the one before."""
-    factor = 1
-    while max(grey.shape) / (2 * factor) >= COARSEST_PX and min(grey.shape) >= 4 * factor:
-        factor *= 2
-    return [factor >> k for k in range(factor.bit_length())]
-
-
-def _reduce(grey: GreyImage, factor: int) -> GreyImage:
-    """Mean over blocks of factor x factor pixels; a rest at the right and the bottom is left out."""
-    if factor == 1:
-        return grey
-    height, width = (size // factor for size in grey.shape)
-    block = grey[: height * factor, : width * factor]
-    return cv2.resize(block, (width, height), interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
 
 
 def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound:

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 """Grey levels and what they are compared with: half the memory, and 24 bits are more than cameras have."""
-Model = Callable[[Pixels, Pixels], tuple[Pixels, Pixels]]
-"""Brightness (N, P) and its derivatives (N, K, P) by the parameters (N, K), at offsets (2, P)."""
+Model = Callable[..., tuple[Pixels, Pixels]]
+"""Brightness (N, P) and its derivatives (N, K, P) by the parameters (N, K); it is given these, offsets as in
+`Windows`, and what constants of the windows there are."""
 
 FLOOR_PX = 0.0015
-"""Least sd of a location, left without any noise: pixel and lens do not blur exactly as a Gaussian does."""
+"""Least sd of a location: what the models leave out, however low the noise. That of print, paper and lens is
+larger, and accounted for with the view."""
 QUANTISATION = 1 / 12
 """Variance of rounding to whole grey levels: no image has less noise."""
 _ITERATIONS = 14
@@ -35,17 +37,20 @@ class Windows(NamedTuple):
 
     Attributes
     ----------
-    x : (2, P)
-        Offsets from the middle of each window, pixels.
+    x : (2, P) or (2, N, P)
+        Offsets from the middle of each window, pixels, the same for all windows or different ones.
     values : (N, P)
         Grey levels.
     weights : (N, P)
         1 for pixels that count, 0 for the others.
+    constants : tuple of (N, ...)
+        What else the model has to know about each.
     """
 
     x: Pixels
     values: Pixels
     weights: Pixels
+    constants: tuple[Pixels, ...] = ()
 
 
 class WindowFit(NamedTuple):
@@ -90,8 +95,8 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
     lower, upper : (K,)
         Bounds of the parameters.
     """
-    _, values, weights = windows
-    ceiling = float(values.max())
+    values, weights = windows.values, windows.weights
+    ceiling = float(values.max(initial=0))
     p = start.copy()
     damping = np.full(len(p), 1e-3)
     cost, normal, gradient, pixels = _linearise(model, p, windows, ceiling)
@@ -101,7 +106,9 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
         noise = np.maximum(cost[moving] / np.maximum(pixels[moving], 1), QUANTISATION)
         length = np.sum(step * gradient[moving], axis=1) / noise
         trial = np.clip(p[moving] + step, lower, upper)
-        taken = Windows(windows.x, values[moving], weights[moving])
+        x = windows.x if windows.x.ndim == 2 else windows.x[:, moving]
+        constants = tuple(each[moving] for each in windows.constants)
+        taken = Windows(x, values[moving], weights[moving], constants)
         trial_cost, trial_normal, trial_gradient, trial_pixels = _linearise(model, trial, taken, ceiling)
         better = trial_cost < cost[moving]
         damping[moving] *= np.where(better, 0.1, 10.0)
@@ -124,8 +131,8 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
 
 def _linearise(model: Model, p: Array, windows: Windows, ceiling: float) -> tuple[Array, Array, Array, Array]:
     """Sum of squares (N,), normal matrix (N, K, K), right side (N, K) and number of pixels (N,) that tell."""
-    x, values, weights = windows
-    brightness, J = model(p.astype(np.float32), x)
+    x, values, weights, constants = windows
+    brightness, J = model(p.astype(np.float32), x, *constants)
     weights = weights * ((values < ceiling) | (brightness < ceiling))
     residual = (values - brightness) * weights
     J *= weights[:, None]  # 0 or 1, as good as its square

@@ -17,7 +17,7 @@ from .threads import SINGLE_THREAD
 
 os.environ.setdefault(*SINGLE_THREAD)
 
-from fewcal.boards import parse_board
+from fewcal.boards import parse_board, pose_ambiguity
 from fewcal.calibration import METHODS
 from fewcal.camera_info import check_camera_name, write_camera_info
 from fewcal.constraints import Priors
@@ -302,6 +302,7 @@ def _calibrate(options: argparse.Namespace) -> int:
             _warn(reader.warnings)
             raise
     _warn(reader.warnings)
+    _warn(filter(None, [pose_ambiguity(settings.board)]))
     outcome = _count_unreadable(outcome, reader)
     report = as_json(outcome)
     if options.out is not None:

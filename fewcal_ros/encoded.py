@@ -145,15 +145,13 @@ def decode_grey(data: bytes, what: str) -> GreyImage:
             f"{what} ({len(data)} bytes) is no image of a known kind; use jpeg, png, bmp, tiff, pnm or webp."
         )
     if not is_whole(data):
-        raise InvalidInput(
-            f"{what} ({len(data)} bytes) is cut off or damaged; leave it out or record it again."
-        )
+        raise InvalidInput(f"{what} ({len(data)} bytes) is cut off or damaged; use another.")
     try:
         image: NDArray[np.generic] | None = cv2.imdecode(np.frombuffer(data, np.uint8), _FLAGS)
     except cv2.error:
         image = None
     if image is None or image.ndim != 2 or image.size == 0:
-        raise InvalidInput(f"{what} ({len(data)} bytes) cannot be decoded; leave it out or record it again.")
+        raise InvalidInput(f"{what} ({len(data)} bytes) cannot be decoded; use another.")
     if image.dtype not in (np.uint8, np.uint16):
         raise InvalidInput(f"{what} holds {image.dtype} pixels; use images of 8 or 16 bit.")
     return image  # type: ignore[return-value]

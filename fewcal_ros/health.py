@@ -10,9 +10,6 @@ from fewcal.calibration import Calibration
 
 from .live import Status
 
-IDLE_S = 5.0
-"""Without an image for this long, something is wrong with the driver or the topic."""
-
 
 class Level(Enum):
     """How well the node is."""
@@ -38,9 +35,9 @@ def judge_health(status: Status) -> tuple[Level, str]:
     if status.last is not None and status.last.problem:
         return Level.ERROR, status.last.problem
     if status.idle_s is None:
-        return Level.WARN, "No image has arrived yet; check the driver and the name of the topic."
-    if status.idle_s > IDLE_S:
-        return Level.WARN, f"No image has arrived for {status.idle_s:.0f} s; check the driver."
+        return Level.WARN, f"No image has arrived yet. {status.silence}"
+    if status.silence:
+        return Level.WARN, f"No image has arrived for {status.idle_s:.0f} s. {status.silence}"
     if other := _other_images(status):
         return Level.WARN, other
     if status.result is None:

@@ -82,6 +82,31 @@ class ImageSubscription:
             self._newest += 1
             self._subscribe(self.topic_name)
 
+    def silence(self) -> str:
+        """Why no image may have arrived, as a sentence that says what to do."""
+        topic, wanted = self.topic_name, _type_name(self._kind)
+        offered = self._offered(topic)
+        if self.lost:
+            return (
+                f"{self.lost} images were lost on the way from {topic}: images of this size need a driver "
+                "that publishes reliably, or larger buffers of the middleware."
+            )
+        if wanted in offered:
+            return f"{topic} is published, but nothing arrives; check the driver, and the QoS overrides."
+        if offered:
+            return (
+                f"{topic} carries {', '.join(sorted(offered))}, not {wanted}; remap image to another topic."
+            )
+        raw = topic.removesuffix("/compressed")
+        other, transport = (f"{topic}/compressed", "compressed") if raw == topic else (raw, "raw")
+        if self._offered(other):
+            return f"Nobody publishes {topic}, but {other} is there; set image_transport:={transport}."
+        return f"Nobody publishes {topic}; start the driver, or remap image to its topic."
+
+    def _offered(self, topic: str) -> set[str]:
+        """Types that a topic is published with."""
+        return {driver.topic_type for driver in self._node.get_publishers_info_by_topic(topic)}
+
     def _check_overrides(self, profile: QoSProfile) -> SetParametersResult:
         if profile.reliability == ReliabilityPolicy.BEST_AVAILABLE:
             self._adapts = True
@@ -115,3 +140,8 @@ class ImageSubscription:
 
     def _count_lost(self, event: Any) -> None:
         self.lost += event.total_count_change
+
+
+def _type_name(kind: type) -> str:
+    """Name of a message type as the graph gives it, such as sensor_msgs/msg/Image."""
+    return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"

@@ -31,6 +31,8 @@ from .stream import ImageStream
 
 CAPTURE_TIMEOUT_S = 5.0
 """How long a capture waits for its image: the slowest cameras in use take one every second or two."""
+IDLE_S = 5.0
+"""Without an image for this long, something is wrong with the driver or the topic."""
 GLANCE_PERIOD_S = 0.2
 """How often to look at an image that nobody needs, so that the state tells what the camera sees."""
 JOIN_TIMEOUT_S = 1.0
@@ -78,7 +80,11 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Status:
-    """Where the calibration stands."""
+    """Where the calibration stands.
+
+    `idle_s` is the time since the last image, None before the first; `silence` says why none may be arriving,
+    and is empty as long as they do.
+    """
 
     parameters: Parameters
     views: tuple[View, ...]
@@ -95,6 +101,7 @@ class Status:
     last: Look | None
     last_took_s: float
     idle_s: float | None
+    silence: str
 
 
 class LiveCalibration:
@@ -109,6 +116,8 @@ class LiveCalibration:
         Called in the worker's thread with the Look at every image.
     watched : callable
         Whether somebody wants to see what is found even when no view is needed any more.
+    silence : callable
+        Why no image may be arriving, as a sentence that says what to do.
     """
 
     def __init__(
@@ -117,9 +126,10 @@ class LiveCalibration:
         read: Callable[[Any], Frame],
         report: Callable[[Look], None],
         watched: Callable[[], bool],
+        silence: Callable[[], str],
     ) -> None:
         self._parameters = parameters
-        self._read, self._report, self._watched = read, report, watched
+        self._read, self._report, self._watched, self._silence = read, report, watched, silence
         self._session = Session(
             parameters.target,
             parameters.views_required,
@@ -151,7 +161,7 @@ class LiveCalibration:
         self._mailbox.put(message)
 
     def capture(self, timeout_s: float = CAPTURE_TIMEOUT_S) -> Decision:
-        """Keep the view of the first image that arrives from now on, if it is whole, sharp and still.
+        """Keep the view of the first image that arrives from now on, if it is sharp and still.
 
         Raises
         ------
@@ -174,7 +184,7 @@ class LiveCalibration:
                 f"{arrived} images arrived within {timeout_s:g} s, but those before them are still being "
                 "looked at; lower queue_size."
                 if arrived
-                else f"No image arrived within {timeout_s:g} s; check the driver and the name of the topic."
+                else f"No image arrived within {timeout_s:g} s. {self._silence()}"
             ) from None
         finally:
             with self._lock:
@@ -245,6 +255,7 @@ class LiveCalibration:
     def status(self) -> Status:
         """Where the calibration stands."""
         session, arrival = self._session, self._last_arrival
+        idle_s = None if arrival is None else time.monotonic() - arrival
         return Status(
             parameters=self._parameters,
             views=session.views,
@@ -260,7 +271,8 @@ class LiveCalibration:
             stream=self._stream,
             last=self._last,
             last_took_s=self._last_took_s,
-            idle_s=None if arrival is None else time.monotonic() - arrival,
+            idle_s=idle_s,
+            silence=self._silence() if idle_s is None or idle_s > IDLE_S else "",
         )
 
     def close(self) -> None:
@@ -351,6 +363,8 @@ class LiveCalibration:
             return None
         try:
             return self._calibrate(session)
+        except Refused:
+            return None  # the views were changed meanwhile: whoever did that, or the next image, goes on
         finally:
             if self._session is session:
                 self._attempted = views

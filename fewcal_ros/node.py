@@ -20,9 +20,12 @@ from rclpy.qos import (
     qos_profile_sensor_data,
 )
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import Trigger
 
+from fewcal.boards import pose_ambiguity
+from fewcal.calibration import Calibration
 from fewcal.camera_info import camera_info_text
 from fewcal.errors import FewcalError, InvalidInput
 from fewcal.files import write_atomically
@@ -42,7 +45,7 @@ from .outgoing import (
 )
 from .parameters import declare_parameters
 from .signals import until_signal
-from .spinning import run
+from .spinning import ENDED, run
 
 BAD_INPUT = 2
 """Exit code when a parameter or argument cannot be used."""
@@ -52,6 +55,10 @@ threads several times, and would wait Python's usual 5 ms for each."""
 DIAGNOSTICS_PERIOD_S = 1.0
 MANY_LOST = 30
 """Images lost on the way, and more than arrived, that are worth a warning: a second of a usual camera."""
+USAGE = """usage: fewcal_node --ros-args -p board:=chessboard:9x6:0.025 -r image:=/camera/image_raw
+
+Calibrates the camera whose images arrive on the topic image. Parameters (-p NAME:=VALUE, --params-file FILE)
+and remappings (-r FROM:=TO) follow --ros-args; `ros2 param describe fewcal` says what a parameter is for."""
 RELIABLE = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
@@ -87,7 +94,11 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._images = self._subscribe()
         self._offer_services()
         self._live = LiveCalibration(
-            self._settings, self._read, self._report, lambda: bool(self._annotated.get_subscription_count())
+            self._settings,
+            self._read,
+            self._report,
+            lambda: bool(self._annotated.get_subscription_count()),
+            self._images.silence,
         )
         self.create_timer(
             DIAGNOSTICS_PERIOD_S,
@@ -100,6 +111,8 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self.get_logger().info(
             f"Waiting for images on {self._images.topic_name} that show {self._settings.board}."
         )
+        if ambiguity := pose_ambiguity(self._settings.target):
+            self.get_logger().warning(ambiguity)
 
     def close(self) -> None:
         """End the worker and whatever waits; call before the node is destroyed."""
@@ -180,13 +193,13 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
     def _publish_annotated(self, look: Look, frame: Frame) -> None:
         status = self._live.status()
         level, sentence = judge_health(status)
+        seen = look.decision.message if look.decision and look.decision.message not in sentence else ""
         found = None if look.decision is None or look.decision.detection is None else look.decision.detection
         picture = annotate(
             frame.image,
             [
                 sentence,
-                f"View {len(status.views)} of {status.parameters.views_required}. "
-                + (look.decision.message if look.decision else ""),
+                f"View {len(status.views)} of {status.parameters.views_required}. {seen}",
                 f"{status.received} images, {status.dropped} dropped. Residuals x{RESIDUAL_SCALE:g}.",
             ],
             {Level.OK: Mood.GOOD, Level.WARN: Mood.UNDER_WAY, Level.ERROR: Mood.BAD}[level],
@@ -206,7 +219,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
             return
         self._released = self._message_of(result)
         self._camera_info.publish(self._released)
-        self.get_logger().info(f"Calibrated from {len(calibration.views)} views: {focal_text(calibration)}.")
+        self.get_logger().info(_summary(calibration))
 
     def _message_of(self, result: Result) -> CameraInfo:
         parameters = self._settings
@@ -258,11 +271,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         calibration = result.calibration
         if not calibration.verdict.usable:
             raise Refused("Not usable: " + " ".join(calibration.verdict.reasons))
-        count = len(calibration.views)
-        return (
-            f"Calibrated from {count} view{'s' * (count != 1)}: {focal_text(calibration)}, "
-            f"rms {calibration.rms:.3f} px."
-        )
+        return _summary(calibration)
 
     def _reset(self) -> str:
         self._live.reset()
@@ -279,6 +288,8 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         path = parameters.save_path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise Refused(f"{path.parent} is no folder, or lies below a file; change output_path.") from None
         except OSError as error:
             raise Refused(f"The folder {path.parent} cannot be made: {error.strerror}.") from None
         write_atomically(path, camera_info_text(info))
@@ -327,23 +338,40 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._publish_diagnostics()
 
 
+def _summary(calibration: Calibration) -> str:
+    count = len(calibration.views)
+    return (
+        f"Calibrated from {count} view{'s' * (count != 1)}: {focal_text(calibration)}, "
+        f"rms {calibration.rms:.3f} px."
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        Those of the process when left out.
+        The name of the program and what follows it; those of the process when left out.
 
     Returns
     -------
     int
-        The exit code: 0 when ended by a signal, 2 when a parameter or argument cannot be used.
+        The exit code: 0 when ended by a signal or after help, 2 when a parameter or argument cannot be used.
     """
     sys.setswitchinterval(SWITCH_INTERVAL_S)
+    given = list(sys.argv if arguments is None else arguments)
     with until_signal() as wait:
         try:
-            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+            others = remove_ros_args(given)[1:]
+            if {"-h", "--help"} & set(others):
+                print(USAGE)
+                return ENDED
+            if others:
+                return _fail(
+                    f"{' '.join(others)} cannot be used; parameters and remappings follow --ros-args."
+                )
+            rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:  # arguments or a parameter file that ROS cannot read
             return _fail(str(error))
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -59,7 +60,8 @@ class About:
             value = float(value)
         if type(value) is not type(self.default):
             kind = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
-            raise InvalidInput(f"{self.name} must be {kind[type(self.default)]}, not {value!r}.")
+            hint = "; quote it, on a command line as '\"007\"'" if isinstance(self.default, str) else ""
+            raise InvalidInput(f"{self.name} must be {kind[type(self.default)]}, not {value!r}{hint}.")
         number: Any = value
         if self.bounds is not None and not self.bounds[0] <= number <= self.bounds[1]:
             raise InvalidInput(
@@ -239,7 +241,7 @@ def _declared() -> Iterator[tuple[str, About]]:
 
 
 def declare_parameters(node: Any) -> Parameters:
-    """Declare every parameter on a node and read its value.
+    """Declare every parameter on a node and read its value; a warning names those given that there are not.
 
     Parameters
     ----------
@@ -251,14 +253,23 @@ def declare_parameters(node: Any) -> Parameters:
         When a value given at the start cannot be used.
     """
     # Only here, so that the checks above work where no ROS is.
-    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-    from rclpy.exceptions import ParameterException
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType
 
+    kinds = {
+        str: ParameterType.PARAMETER_STRING,
+        bool: ParameterType.PARAMETER_BOOL,
+        int: ParameterType.PARAMETER_INTEGER,
+        # 2 for 2.0 is what everybody writes; typed statically, ROS would refuse it.
+        float: ParameterType.PARAMETER_NOT_SET,
+    }
     values: dict[str, Any] = {}
     for name, about in _declared():
+        # Any type at first: what is wrong with a value given at the start is said in our own words.
+        anything = ParameterDescriptor(dynamic_typing=True)
+        values[name] = about.checked(node.declare_parameter(about.name, about.default, anything).value)
         descriptor = ParameterDescriptor(description=about.description, read_only=about.read_only)
-        # 2 for 2.0 is what everybody writes; typed statically, ROS would refuse it.
-        descriptor.dynamic_typing = isinstance(about.default, float)
+        descriptor.type = kinds[type(about.default)]
+        descriptor.dynamic_typing = descriptor.type == ParameterType.PARAMETER_NOT_SET
         if about.choices:
             descriptor.additional_constraints = f"One of {', '.join(about.choices)}."
         if about.bounds is not None:
@@ -267,8 +278,18 @@ def declare_parameters(node: Any) -> Parameters:
                 descriptor.floating_point_range = [FloatingPointRange(from_value=least, to_value=largest)]
             else:
                 descriptor.integer_range = [IntegerRange(from_value=int(least), to_value=int(largest))]
-        try:
-            values[name] = node.declare_parameter(about.name, about.default, descriptor).value
-        except ParameterException as error:
-            raise InvalidInput(f"The parameter {about.name} cannot be used: {error}") from None
+        node.set_descriptor(about.name, descriptor)
+    _warn_of_unknown(node)
     return Parameters(**values)
+
+
+def _warn_of_unknown(node: Any) -> None:
+    """Name the parameters that were given and that nobody reads: one may be misspelt, or another node's."""
+    # rclpy has no public way to ask for what was given but not declared.
+    given = getattr(node, "_parameter_overrides", {})
+    known = {about.name for _, about in _declared()}
+    for name in sorted(set(given) - known):
+        if not node.has_parameter(name) and not name.startswith(("qos_overrides.", "use_sim_time")):
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"; did you mean {near[0]}?" if near else "."
+            node.get_logger().warning(f"There is no parameter {name}{hint}")

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from board_frames import Image, empty, flat, pair
 from board_pictures import CAMERA
+from marker_pictures import CHARUCO, needs_markers, two_parts
 from test_report import check_schema
 from write_recordings import (
     IMAGE,
@@ -190,6 +191,19 @@ def test_no_calibration_possible(run: Any, empty_image: str, tmp_path: Path, as_
     assert_one_sentence(result.err)
     assert "None of 1 frame shows chessboard:9x6:0.025 well enough. No chessboard is to be seen" in result.err
     assert list(tmp_path.iterdir()) == []
+
+
+@needs_markers
+def test_parts_of_a_charuco_board_calibrate_a_camera(run: Any, tmp_path: Path) -> None:
+    images = [save(tmp_path / f"part{i}.png", picture) for i, picture in enumerate(two_parts())]
+    result = run("calibrate", *images, "--board", str(CHARUCO), "--json")
+    assert result.code == 0, result.err
+    camera, std = result.content["camera"], result.content["std"]
+    assert [view["points"] for view in result.content["views"]] == [18, 21]
+    assert abs(camera["fx"] - CAMERA.fx) < min(3 * std["fx"], 0.01 * CAMERA.fx)
+    wrong = run("calibrate", *images, "--board", "charuco:7x5:0.04:0.03:DICT_4X4_50")
+    assert wrong.code == 3
+    assert "The markers are those of DICT_5X5_50, not of DICT_4X4_50" in wrong.err
 
 
 def test_the_wrong_board_size_is_named(run: Any, flat_image: str) -> None:

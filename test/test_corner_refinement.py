@@ -1,21 +1,26 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from board_pictures import BOARD, CAMERA, SIZE, picture, pose
+from marker_pictures import CHARUCO, marker_picture, needs_markers
 
-from fewcal.corner_refinement import _model, refine_corners
+from fewcal.corner_refinement import Squares, _model, refine_corners
 from fewcal.rendering import Conditions, render
 
 
-def test_derivatives_of_the_model() -> None:
-    p = np.array([[0.3, -0.2, 0.4, 1.7, 1.2, 0.9, 100.0, 60.0, 0.002, -0.003]])
-    x = np.stack([g.ravel() for g in np.mgrid[-5:6, -5:6].astype(float)])
-    _, J = _model(p, x)
+@pytest.mark.parametrize("gap", [None, np.array([[1.8, 2.1, 1.5, 2.5]])], ids=["plain", "markers"])
+@pytest.mark.parametrize("contrast", [60.0, -60.0])
+def test_derivatives_of_the_model(contrast: float, gap: Any) -> None:
+    p = np.array([[0.3, -0.2, 0.4, 1.7, 1.2, 0.9, 100.0, contrast, 0.002, -0.003]])
+    x: Any = np.stack([g.ravel() for g in np.mgrid[-5:6, -5:6].astype(float)])
+    _, J = _model(p, x, gap)
     for k in range(p.shape[1]):
         step = np.zeros_like(p)
         step[0, k] = 1e-5 * max(1.0, abs(p[0, k]))
-        numeric = (_model(p + step, x)[0] - _model(p - step, x)[0]) / (2 * step[0, k])
+        numeric = (_model(p + step, x, gap)[0] - _model(p - step, x, gap)[0]) / (2 * step[0, k])
         np.testing.assert_allclose(J[:, k], numeric, rtol=1e-5, atol=1e-5)
 
 
@@ -99,3 +104,26 @@ def test_overexposure_costs_little() -> None:
         return float(np.sqrt(np.mean(error**2)))
 
     assert rms(2.3) < 1.5 * rms(0.9)
+
+
+def test_corners_that_are_unknown_are_left_out() -> None:
+    image, true = picture(pose(BOARD, 36, 20, 40, 15))
+    grid = true.reshape(6, 9, 2).copy()
+    whole = refine_corners(image, grid)
+    grid[2, 3:] = np.nan
+    part = refine_corners(image, grid)
+    assert np.isnan(part.points[2, 3:]).all()
+    assert part.good.sum() == 48
+    np.testing.assert_allclose(part.points[4:], whole.points[4:], atol=1e-3)
+    assert not refine_corners(image, np.full_like(grid, np.nan)).good.any()
+
+
+@needs_markers
+def test_a_marker_in_the_square_does_not_shift_the_corner() -> None:
+    image, true = marker_picture(CHARUCO, 36, 20, 40, 15, conditions=Conditions(blur_px=1.5))
+    grid = true.reshape(4, 6, 2)
+    with_marker = refine_corners(image, grid, squares=Squares(0.125, 0.125 + 0.75 / 7))
+    plain = refine_corners(image, grid)
+    assert with_marker.good.all()
+    assert np.abs(with_marker.points - grid).max() < 0.05
+    assert np.abs(plain.points - grid).max() > 2 * np.abs(with_marker.points - grid).max()

@@ -30,7 +30,9 @@ class Bench:
         self.gate.set()
         self.count = 0
         parameters = Parameters(board=str(BOARD), queue_size=100).changed(values)
-        self.live = LiveCalibration(parameters, self.read, self.looks.put, lambda: False)
+        self.live = LiveCalibration(
+            parameters, self.read, self.looks.put, lambda: False, lambda: "Nobody is there."
+        )
 
     def read(self, message: SimpleNamespace) -> Frame:
         assert self.gate.wait(TIMEOUT_S)
@@ -155,7 +157,7 @@ class TestByServices:
         assert "ending" in str(answers.get(timeout=TIMEOUT_S))
 
     def test_a_capture_without_images_is_given_up(self, bench):
-        with pytest.raises(Refused, match="No image arrived"):
+        with pytest.raises(Refused, match=r"No image arrived within .* s\. Nobody is there\."):
             bench.live.capture(0.01)
         bench.show(flat())
         assert not bench.live.status().views

@@ -14,9 +14,11 @@ from pathlib import Path
 import pytest
 from live_cell import BAGS, BOARD, LOSSLESS, TIMEOUT_S, Cell, Process, robot_cell, wait_until
 from machine import crowding
+from marker_pictures import CHARUCO, needs_markers, two_parts
 from rclpy.qos import ReliabilityPolicy
 from ros_domain import own_domain
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from write_recordings import IMAGE, Sample, write_rosbag1
 
 from fewcal.boards import parse_board
 from fewcal.camera_info import read_camera_info, write_camera_info
@@ -100,6 +102,27 @@ class TestByItself:
         assert file.read_bytes() == (tmp_path / "offline.yaml").read_bytes()
         assert_ends_well(node, signal.SIGINT)
         assert len(infos) == 1
+
+    @needs_markers
+    def test_parts_of_a_charuco_board_are_enough(self, cell, tmp_path):
+        stamps = [1_700_000_000 * 10**9 + i * 10**9 for i in range(2)]
+        samples = [
+            Sample("/image", stamp, IMAGE, (*part.shape, "mono8", 0, part.shape[1], part.ravel()), stamp)
+            for stamp, part in zip(stamps, two_parts(), strict=True)
+        ]
+        recording = write_rosbag1(tmp_path, samples)
+        cell.start_node(*LOSSLESS, queue_size=100, board=str(CHARUCO))
+        infos, pictures = cell.client.camera_info(), cell.client.annotated()
+        camera = cell.start_camera(str(recording))
+        camera.tell(play=[0, 1])
+        cell.client.wait_for(views="2", usable="yes", level="OK", board=str(CHARUCO))
+        info = wait_until(lambda: infos, "camera_info")[0]
+        with open_frames([recording]) as frames:
+            expected = calibrate_frames(frames, Settings(CHARUCO, select="first")).calibration
+        assert [len(view) for view in expected.views] == [18, 21]
+        assert list(info.k) == expected.camera.matrix.ravel().tolist()
+        camera.tell(hold=1)
+        wait_until(lambda: pictures, "an annotated image")
 
     def test_who_comes_late_receives_the_camera(self, cell):
         cell.start_node(*LOSSLESS, queue_size=100)
@@ -323,6 +346,10 @@ class TestParameters:
             (["-p", f"board:={BOARD}", "-p", "views_required:=0"], "views_required"),
             (["-p", f"board:={BOARD}", "-p", "views_required:=two"], "views_required"),
             (["-p", f"board:={BOARD}", "-p", "prior.focal_px:=500.0"], "belong together"),
+            (
+                ["-p", f"board:={BOARD}", "-p", "camera_name:=007"],
+                "camera_name must be text, not 7; quote it",
+            ),
             (["-p", f"board:={BOARD}", "-p", "qos_overrides./image.subscription.reliability:=x"], "image"),
             (["-p", "board"], "board"),
             (["--params-file", "nowhere.yaml"], "nowhere.yaml"),
@@ -342,8 +369,53 @@ class TestParameters:
         assert reason in done.stderr
         assert "Traceback" not in done.stderr
 
+    @pytest.mark.parametrize(
+        ("arguments", "code", "said"),
+        [
+            (["--help"], 0, "--ros-args -p board:="),
+            (["--ros-args", "-p", f"board:={BOARD}", "--", "-h"], 0, "usage: fewcal_node"),
+            (
+                ["-p", f"board:={BOARD}"],
+                2,
+                f"-p board:={BOARD} cannot be used; parameters and remappings follow",
+            ),
+        ],
+    )
+    def test_what_ros_does_not_take_is_answered(self, arguments, code, said):
+        done = subprocess.run(
+            [sys.executable, "-m", "fewcal_ros.node_command", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+        assert done.returncode == code
+        assert said in (done.stderr if code else done.stdout)
+
+    def test_a_misspelt_parameter_is_named(self, cell):
+        node = cell.start_node(min_sharpnes=0.2)
+        cell.client.wait_for(views="0")
+        said = "There is no parameter min_sharpnes; did you mean min_sharpness?"
+        wait_until(lambda: any(said in line for line in node.err), "a warning")
+
 
 class TestState:
+    def test_why_no_image_arrives_is_said(self, cell):
+        cell.start_node()
+        client = cell.client
+        said = lambda: client.values().get("message", "")  # noqa: E731
+        wait_until(lambda: "Nobody publishes /image; start the driver" in said(), "who is missing")
+        client.node.create_publisher(CompressedImage, "/image/compressed", 1)
+        wait_until(lambda: "set image_transport:=compressed" in said(), "the other transport")
+        client.node.create_publisher(CameraInfo, "/image", 1)
+        wait_until(lambda: "carries sensor_msgs/msg/CameraInfo, not sensor_msgs/msg/Image" in said(), "type")
+
+    def test_a_driver_that_publishes_nothing_is_named(self, cell):
+        cell.client.node.create_publisher(Image, "/image", 1)
+        cell.start_node()
+        said = lambda: cell.client.values().get("message", "")  # noqa: E731
+        wait_until(lambda: "/image is published, but nothing arrives; check the driver" in said(), "silence")
+
     def test_images_that_change_or_cannot_be_read_are_noticed(self, cell):
         node = cell.start_node()
         camera = cell.start_camera()

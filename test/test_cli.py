@@ -299,6 +299,15 @@ USAGE = {
     },
     "board of two": ["calibrate", "x.png", "--board", "chessboard:2x2:0.1"],
     "board of another kind": ["calibrate", "x.png", "--board", "circles:9x6:0.025"],
+    "print without a file": ["board", BOARD],
+    "print of nothing": ["board", "--output", "/nowhere/board.pdf"],
+    "print of no board": ["board", "9x6", "--output", "/nowhere/board.pdf"],
+    "print on paper that is too small": ["board", BOARD, "--paper", "A5", "--output", "/nowhere/board.pdf"],
+    "print on no paper": ["board", BOARD, "--paper", "B7", "--output", "/nowhere/board.pdf"],
+    "print into no format": ["board", BOARD, "--output", "/nowhere/board.doc"],
+    "print into no folder": ["board", BOARD, "--output", "/nowhere/board.pdf"],
+    "print at no resolution": ["board", BOARD, "--output", "/nowhere/board.png", "--dpi", "0"],
+    "print at text": ["board", BOARD, "--output", "/nowhere/board.png", "--dpi", "fine"],
 }
 
 
@@ -499,6 +508,26 @@ def test_info_of_a_damaged_recording(run: Any, tmp_path: Path) -> None:
     assert result.code == 0
     assert "/camera/image_raw" in result.out
     assert_one_sentence(result.err)
+
+
+@pytest.mark.parametrize("suffix", ["pdf", "svg", "png"])
+def test_a_board_is_written_for_the_printer(run: Any, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"board.{suffix}"
+    result = run("board", BOARD, "--output", path)
+    assert (result.code, result.err) == (0, "")
+    assert result.out == f"Written: {path}, 297 x 210 mm; print it at 100 %.\n"
+    assert path.stat().st_size > 1000
+    larger = run("board", BOARD, "--paper", "A3", "--dpi", "100", "--output", path)
+    assert "297 x 420 mm" in larger.out
+
+
+def test_a_printed_board_calibrates_a_scanner_no_better_than_it_should(run: Any, tmp_path: Path) -> None:
+    """A scan is a view face on: the board is found, and says nothing of the focal length."""
+    path = tmp_path / "board.png"
+    run("board", BOARD, "--dpi", "100", "--output", path)
+    result = run(*calibrate(path), "--json")
+    assert result.code == 1
+    assert result.content["frames"]["with_board"] == 1
 
 
 @pytest.mark.parametrize("installed", [False, True])

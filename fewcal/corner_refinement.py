@@ -2,19 +2,23 @@
 
 Around one corner c the image is modelled as two blurred edges that cross,
 
-    I(x) = (a + b E(n1 . (x - c) / s1) E(n2 . (x - c) / s2)) (1 + g . (x - c)),     E(t) = erf(t / sqrt 2)
+    I(x) = (a + b P(x - c + s^2 g)) (1 + g . (x - c)),     P = E1 E2 + 4 cos(n1, n2) phi(t1) phi(t2)
 
-with the normals n1, n2 of the edges, the blur s1, s2 of each (Gaussian sd, px: defocus, motion and the pixel
-itself), the brightness a, the contrast b and the slope g of the light. All ten parameters of all corners are
-fitted at once by Levenberg-Marquardt over the pixels of a window that follows the squares in size and
-foreshortening. Under white noise this is the maximum-likelihood location, and as the model is symmetric about
-c, so is what it leaves out: glare that eats into the black squares, gamma, the ends of a skew blur. The
-covariance of c is that of the fit, with the noise taken from its residuals.
+with ti = ni . x / si the distance from an edge in units of its blur, Ei = erf(ti / sqrt 2) and phi the normal
+density; the normals n1, n2 of the edges, the blur s1, s2 of each (Gaussian sd, px: defocus, motion and the
+pixel itself) and its mean square s^2, the brightness a, the contrast b and the slope g of the light.
+
+The second term of P is what an even blur makes of edges that are not at right angles, to first order. The
+shift s^2 g is what it does in light that falls off, where F(x) (1 + g . x) gains s^2 g . grad F; without it
+corners would be drawn to the darker side. All ten parameters of all corners are fitted at once
+over the pixels of a window that follows the squares in size and foreshortening. What the model leaves out is
+symmetric about c, as the model is, and does not move it: glare that eats into the black squares, gamma, the
+ends of a skew blur.
 
 Where the bright squares have a marker inside, at a distance g from their edges, the black border of it is
-part of the model: with d the distances from the two edges and Phi the normal distribution function, E E
-becomes E E - 2 [Phi((d1 - g1) / s1) Phi((d2 - g2) / s2) + Phi((-d1 - g3) / s1) Phi((-d2 - g4) / s2)], the
-sign of d2 being such that both are in the bright squares. The bits inside are left out of the window.
+part of the model: with d the distances from the two edges and Phi the normal distribution function, P becomes
+P - 2 [Phi((d1 - g1) / s1) Phi((d2 - g2) / s2) + Phi((-d1 - g3) / s1) Phi((-d2 - g4) / s2)], the sign of d2
+being such that both are in the bright squares. The bits inside are left out of the window.
 """
 
 from __future__ import annotations
@@ -192,30 +196,38 @@ def _model(p: Pixels, x: Pixels, gap: Pixels | None = None) -> tuple[Pixels, Pix
     """Brightness (N, P) and its derivatives (N, 10, P) by the parameters; gap (N, 4) is g of the markers."""
     c_x, c_y, angle, other_angle, blur, other_blur, a, b, g_x, g_y = p.T[..., None]
     dx, dy = x[0] - c_x, x[1] - c_y
+    light = 1 + g_x * dx + g_y * dy
+    variance = (blur * blur + other_blur * other_blur) / 2
+    dx, dy = dx + variance * g_x, dy + variance * g_y
     E, by_E, along, t, cos, sin = _edge(dx, dy, angle, blur)
     F, by_F, other_along, other_t, other_cos, other_sin = _edge(dx, dy, other_angle, other_blur)
-    checker, by_E, by_F = E * F, by_E * F, E * by_F
+    skew, by_angle = np.cos(angle - other_angle), np.sin(angle - other_angle)
+    both = by_E * by_F * (blur * other_blur)
+    checker = E * F + skew * both
+    by_E, by_F = by_E * F - both * (skew * t / blur), E * by_F - both * (skew * other_t / other_blur)
     by_blur, by_other_blur = -by_E * t, -by_F * other_t
     if gap is not None:
         added = _markers((t * blur, blur), (other_t * other_blur, other_blur), gap, np.sign(b))
         for total, more in zip((checker, by_E, by_F, by_blur, by_other_blur), added, strict=True):
             total += more
     reflectance = a + b * checker
-    light = 1 + g_x * dx + g_y * dy
     contrast = b * light
     by_E *= contrast  # derivatives of the brightness by the distances from the two edges
     by_F *= contrast
+    both *= contrast * by_angle
+    by_x, by_y = by_E * sin + by_F * other_sin, -by_E * cos - by_F * other_cos
+    by_variance = by_x * g_x + by_y * g_y
     J = np.empty((len(p), _PARAMETERS, x.shape[1]), np.float32)
-    J[:, 0] = by_E * sin + by_F * other_sin - reflectance * g_x
-    J[:, 1] = -by_E * cos - by_F * other_cos - reflectance * g_y
-    J[:, 2] = -by_E * along
-    J[:, 3] = -by_F * other_along
-    J[:, 4] = by_blur * contrast
-    J[:, 5] = by_other_blur * contrast
+    J[:, 0] = by_x - reflectance * g_x
+    J[:, 1] = by_y - reflectance * g_y
+    J[:, 2] = -by_E * along - both
+    J[:, 3] = -by_F * other_along + both
+    J[:, 4] = by_blur * contrast - by_variance * blur
+    J[:, 5] = by_other_blur * contrast - by_variance * other_blur
     J[:, 6] = light
     J[:, 7] = light * checker
-    J[:, 8] = reflectance * dx
-    J[:, 9] = reflectance * dy
+    J[:, 8] = reflectance * (x[0] - c_x) - by_x * variance
+    J[:, 9] = reflectance * (x[1] - c_y) - by_y * variance
     return reflectance * light, J
 
 

@@ -130,6 +130,7 @@ def render(
     *,
     background: ArrayLike | None = None,
     rng: np.random.Generator | None = None,
+    oversampling: int = 1,
 ) -> NDArray[np.uint8]:
     """Take a picture of a board.
 
@@ -150,6 +151,9 @@ def render(
         Reflectance behind the board, 0 to 1, such as :func:`clutter` makes. Plain grey when left out.
     rng : numpy.random.Generator, optional
         Source of the noise; seeded with 0 when left out, so that the same call gives the same image.
+    oversampling : int
+        The lens blurs what is on a grid so many times as fine as the pixels. With 1 a blur below a pixel is
+        coarse, which displaces corners by up to 0.01 px; 3 leaves less than 0.001 px, at nine times the cost.
 
     Returns
     -------
@@ -166,14 +170,18 @@ def render(
         scene = np.array(background, dtype=np.float32)
         if scene.shape != (height, width):
             raise InvalidInput(f"background must have shape {(height, width)}, not {scene.shape}.")
+    if oversampling > 1:
+        scene = np.kron(scene, np.ones((oversampling, oversampling), np.float32))
     if board is not None and T_camera_board is not None:
         poses = np.asarray(T_camera_board, dtype=np.float64)
         if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4) or not np.isfinite(poses).all():
             raise InvalidInput(
                 "T_camera_board must be finite, of shape (4, 4), or (K, 4, 4) for a moving board."
             )
-        scene = _painted(scene, camera, board, poses.reshape(-1, 4, 4))
-    return _expose(scene, conditions, rng if rng is not None else np.random.default_rng(0))
+        scene = _painted(scene, camera, board, poses.reshape(-1, 4, 4), oversampling)
+    return _expose(
+        _through_lens(scene, conditions, oversampling), conditions, rng or np.random.default_rng(0)
+    )
 
 
 def clutter(image_size: tuple[int, int], rng: np.random.Generator, pieces: int = 60) -> Floats:
@@ -210,24 +218,24 @@ def clutter(image_size: tuple[int, int], rng: np.random.Generator, pieces: int =
     return np.clip(blurred, 0, 1).astype(np.float32)
 
 
-def _painted(scene: Floats, camera: Projector, board: Board, poses: Array) -> Floats:
+def _painted(scene: Floats, camera: Projector, board: Board, poses: Array, oversampling: int) -> Floats:
     """Mean of the scenes (H, W) with the board at each of the poses (K, 4, 4)."""
     drawing = board.draw()
+    rays = _rays(camera, scene.shape[::-1], oversampling)
     total = np.zeros_like(scene)
     for T in poses:
         exposed = scene.copy()
-        _paint(exposed, _board_coordinates(camera, scene.shape[::-1], T), drawing)
+        _paint(exposed, _board_coordinates(rays, T), drawing)
         total += exposed
     return total / np.float32(len(poses))
 
 
-def _board_coordinates(camera: Projector, image_size: tuple[int, ...], T: Array) -> Array:
-    """Where each pixel's ray meets the board: (H, W, 2) metres in the board frame, NaN for nowhere."""
+def _board_coordinates(rays: Array, T: Array) -> Array:
+    """Where rays (2, H, W) meet the board: (H, W, 2) metres in the board frame, NaN for nowhere."""
     plane = T[:3, [0, 1, 3]]
     # det [r1 r2 t] = t . (r1 x r2) is positive when the camera sees the printed side.
     if not np.linalg.det(plane) > 0:
         raise InvalidInput("The camera sees the board's back or edge; turn the board's z axis away from it.")
-    rays = _rays(camera, image_size)
     G = np.linalg.inv(plane)
     x, y, inverse_depth = (G[i, 0] * rays[0] + G[i, 1] * rays[1] + G[i, 2] for i in range(3))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -236,12 +244,14 @@ def _board_coordinates(camera: Projector, image_size: tuple[int, ...], T: Array)
 
 
 @lru_cache(maxsize=4)
-def _rays(camera: Projector, image_size: tuple[int, ...]) -> Array:
-    """(2, H, W) x / z and y / z of each pixel, NaN where the model has no ray."""
-    width, height = image_size
-    v, u = (np.linspace(0, n - 1, max(5, math.ceil((n - 1) / _RAY_GRID_PX) + 1)) for n in (height, width))
+def _rays(camera: Projector, fine_size: tuple[int, ...], oversampling: int) -> Array:
+    """(2, H, W) x / z and y / z of each point of a grid finer than the pixels, NaN where there is no ray."""
+    every_v, every_u = ((np.arange(n) + 0.5) / oversampling - 0.5 for n in fine_size[::-1])
+    v, u = (
+        np.linspace(every[0], every[-1], max(5, math.ceil(np.ptp(every) / _RAY_GRID_PX) + 1))
+        for every in (every_v, every_u)
+    )
     exact = _slopes(camera, v, u)
-    every_v, every_u = np.arange(height, dtype=np.float64), np.arange(width, dtype=np.float64)
     if np.isnan(exact).any():  # beyond a fold there is nothing to interpolate between
         return _slopes(camera, every_v, every_u)
     return np.stack([RectBivariateSpline(v, u, plane)(every_v, every_u) for plane in exact])
@@ -286,14 +296,22 @@ def _pattern(samples: Array, drawing: Drawing, paper: Array) -> tuple[Floats, ND
     return np.where(drawing.is_black(samples), np.float32(BLACK), np.float32(WHITE)), on_paper
 
 
-def _expose(scene: Floats, conditions: Conditions, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Turn reflectances (H, W) into grey levels."""
+def _through_lens(scene: Floats, conditions: Conditions, oversampling: int) -> Floats:
+    """What falls on the pixels, given reflectances on a grid so many times as fine."""
     image: NDArray[Any] = scene * _light(scene.shape, conditions)
     if conditions.blur_px > 0:
-        image = cv2.GaussianBlur(image, (0, 0), conditions.blur_px, borderType=cv2.BORDER_REPLICATE)
+        sigma = conditions.blur_px * oversampling
+        image = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
     if conditions.motion_px > 0:
-        kernel = _motion_kernel(conditions.motion_px, math.radians(conditions.motion_deg))
+        kernel = _motion_kernel(conditions.motion_px * oversampling, math.radians(conditions.motion_deg))
         image = cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE)
+    height, width = image.shape
+    blocks = image.reshape(height // oversampling, oversampling, width // oversampling, oversampling)
+    return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float32)
+
+
+def _expose(image: Floats, conditions: Conditions, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Turn light on pixels (H, W) into grey levels."""
     signal = np.asarray(image, dtype=np.float32) * np.float32(255 * conditions.exposure)
     noise = np.sqrt(np.maximum(signal, 0) * np.float32(255 / conditions.full_well) + conditions.read_noise**2)
     if noise.any():

@@ -2,7 +2,8 @@
 
 Every window has its own parameters, the first two of them the location c, and all are fitted together by
 Levenberg-Marquardt. Under white noise that is the maximum-likelihood location; its covariance is that of the
-fit, with the noise taken from the residuals.
+fit, with the noise taken from the residuals. A pixel as bright as the brightest of all is taken for
+saturated: it says that the model is to be as bright or brighter, and nothing more.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ Model = Callable[..., tuple[Pixels, Pixels]]
 """Brightness (N, P) and its derivatives (N, K, P) by the parameters (N, K); it is given these, offsets as in
 `Windows`, and what constants of the windows there are."""
 
-FLOOR_PX = 0.002
+FLOOR_PX = 0.0015
 """Least sd of a location: what the models leave out, however low the noise. That of print, paper and lens is
 larger, and accounted for with the view."""
 QUANTISATION = 1 / 12
 """Variance of rounding to whole grey levels: no image has less noise."""
 _ITERATIONS = 14
 """Levenberg-Marquardt steps; 5 to 8 suffice from a good start."""
-_CONVERGED_PX = 3e-3
-"""Steps of the location below this are far below its sd."""
+_CONVERGED = 0.01
+"""Squared length of a step in sds of the parameters, below which it changes nothing that matters."""
 
 
 class Windows(NamedTuple):
@@ -95,44 +96,49 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
         Bounds of the parameters.
     """
     values, weights = windows.values, windows.weights
+    ceiling = float(values.max(initial=0))
     p = start.copy()
     damping = np.full(len(p), 1e-3)
-    cost, normal, gradient = _linearise(model, p, windows)
+    cost, normal, gradient, pixels = _linearise(model, p, windows, ceiling)
     moving = np.arange(len(p))
     for _ in range(_ITERATIONS):
         step = _solve(normal[moving], gradient[moving, :, None], damping[moving])[..., 0]
+        noise = np.maximum(cost[moving] / np.maximum(pixels[moving], 1), QUANTISATION)
+        length = np.sum(step * gradient[moving], axis=1) / noise
         trial = np.clip(p[moving] + step, lower, upper)
         x = windows.x if windows.x.ndim == 2 else windows.x[:, moving]
         constants = tuple(each[moving] for each in windows.constants)
         taken = Windows(x, values[moving], weights[moving], constants)
-        trial_cost, trial_normal, trial_gradient = _linearise(model, trial, taken)
+        trial_cost, trial_normal, trial_gradient, trial_pixels = _linearise(model, trial, taken, ceiling)
         better = trial_cost < cost[moving]
         damping[moving] *= np.where(better, 0.1, 10.0)
         done = moving[better]
         p[done], cost[done] = trial[better], trial_cost[better]
         normal[done], gradient[done] = trial_normal[better], trial_gradient[better]
-        moving = moving[np.abs(step[:, :2]).max(axis=1) > _CONVERGED_PX]
+        pixels[done] = trial_pixels[better]
+        moving = moving[length > _CONVERGED]
         if len(moving) == 0:
             break
-    pixels = np.maximum(weights.sum(axis=1), 1)
-    mean = np.sum(weights * values, axis=1) / pixels
+    count = np.maximum(weights.sum(axis=1), 1)
+    mean = np.sum(weights * values, axis=1) / count
     variance = np.sum(weights * (values - mean[:, None]) ** 2, axis=1)
     noise = np.maximum(cost / np.maximum(pixels - p.shape[1], 1), QUANTISATION)
     covariance = _solve(normal, np.broadcast_to(np.eye(p.shape[1]), normal.shape), np.zeros(len(p)))
     spread = np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], 0) / 2
     sigma = np.sqrt(spread * noise + FLOOR_PX**2)
-    return WindowFit(p, sigma, 1 - cost / np.maximum(variance, QUANTISATION * pixels))
+    return WindowFit(p, sigma, 1 - cost / np.maximum(variance, QUANTISATION * count))
 
 
-def _linearise(model: Model, p: Array, windows: Windows) -> tuple[Array, Array, Array]:
-    """Sum of squares (N,), normal matrix (N, K, K) and right side (N, K) at given parameters."""
+def _linearise(model: Model, p: Array, windows: Windows, ceiling: float) -> tuple[Array, Array, Array, Array]:
+    """Sum of squares (N,), normal matrix (N, K, K), right side (N, K) and number of pixels (N,) that tell."""
     x, values, weights, constants = windows
     brightness, J = model(p.astype(np.float32), x, *constants)
+    weights = weights * ((values < ceiling) | (brightness < ceiling))
     residual = (values - brightness) * weights
     J *= weights[:, None]  # 0 or 1, as good as its square
     cost = np.einsum("np,np->n", residual, residual, dtype=np.float64)
     normal, gradient = J @ np.swapaxes(J, 1, 2), (J @ residual[..., None])[..., 0]
-    return cost, normal.astype(np.float64), gradient.astype(np.float64)
+    return cost, normal.astype(np.float64), gradient.astype(np.float64), weights.sum(axis=1, dtype=np.float64)
 
 
 def _solve(normal: Array, right: Array, damping: Array) -> Array:

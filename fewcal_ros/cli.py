@@ -1,4 +1,4 @@
-"""The command `fewcal`: calibrate a camera from a recording or images; look into recordings and play them."""
+"""The command `fewcal`: print boards, calibrate from recordings or images, list recordings and play them."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ from fewcal.camera_info import check_camera_name, write_camera_info
 from fewcal.constraints import Priors
 from fewcal.errors import DegenerateViews, FewcalError, InvalidInput
 from fewcal.files import write_atomically
+from fewcal.sheet import PAPERS_MM, lay_out
+from fewcal.sheet_files import DPI, write_sheet
 from fewcal.verdict import Thresholds
 
 from .errors import RosError
@@ -62,6 +64,17 @@ examples:
   fewcal calibrate photo1.jpg photo2.jpg --board chessboard:9x6:0.025 --json
 
 The size of a board counts interior corners, where four squares meet: a board of 10x7 squares is 9x6.
+"""
+
+_BOARD = """
+Write a board as it is to be printed, at true scale, with a ruler to check the printer.
+
+examples:
+  fewcal board chessboard:9x6:0.025 --paper A4 --output board.pdf
+  fewcal board chessboard:11x8:0.08 --paper 1000x800 --output board.svg
+
+Print at 100 %, not fitted to the page, lay the sheet flat on something stiff, and measure it: what the
+calibration is told is what counts, not what was meant to be printed.
 """
 
 _PLAY = """
@@ -189,8 +202,32 @@ def _parser() -> argparse.ArgumentParser:
     )
     info.set_defaults(run=_info)
     info.add_argument("recording", metavar="BAG", help="a .mcap, .db3 or .bag file, or a rosbag2 folder")
+    _add_board(commands)
     _add_play(commands)
     return parser
+
+
+def _add_board(commands: argparse._SubParsersAction[_Parser]) -> None:
+    command = commands.add_parser(
+        "board",
+        help="write a board to be printed, as PDF, SVG or PNG",
+        description=_BOARD,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    command.set_defaults(run=_board)
+    command.add_argument("board", metavar="BOARD", help="such as chessboard:9x6:0.025 (sizes in metres)")
+    command.add_argument(
+        "--output", required=True, type=Path, metavar="FILE", help="a file that ends in .pdf, .svg or .png"
+    )
+    command.add_argument(
+        "--paper",
+        default="A4",
+        metavar="SIZE",
+        help=f"{', '.join(PAPERS_MM)}, or width and height in mm, such as 900x600 (default A4)",
+    )
+    command.add_argument(
+        "--dpi", type=float, default=DPI, metavar="N", help="pixels per inch of a PNG (default %(default)s)"
+    )
 
 
 def _add_play(commands: argparse._SubParsersAction[_Parser]) -> None:
@@ -319,6 +356,13 @@ def _counted(reader: FrameReader, progress: Progress) -> Iterator[Frame]:
             drawn = time.monotonic()
         yield frame
         progress.advance(task)
+
+
+def _board(options: argparse.Namespace) -> int:
+    sheet = lay_out(parse_board(options.board), options.paper)
+    write_sheet(sheet, options.output, options.dpi)
+    _say(f"Written: {options.output}, {sheet.width:g} x {sheet.height:g} mm; print it at 100 %.\n")
+    return USABLE
 
 
 def _info(options: argparse.Namespace) -> int:

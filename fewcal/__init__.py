@@ -1,6 +1,15 @@
 """fewcal: camera calibration from one or two views of a board, with error bars that are true."""
 
-from .boards import AsymmetricCircleGrid, Board, Charuco, Chessboard, CircleGrid, parse_board, pose_ambiguity
+from .boards import (
+    AsymmetricCircleGrid,
+    Board,
+    Charuco,
+    Chessboard,
+    CircleGrid,
+    KnownObject,
+    parse_board,
+    pose_ambiguity,
+)
 from .calibration import Calibration, calibrate
 from .camera import Camera
 from .camera_info import read_camera_info, write_camera_info
@@ -31,6 +40,7 @@ __all__ = [
     "FewcalError",
     "ImaginaryFocalLength",
     "InvalidInput",
+    "KnownObject",
     "ModelFoldsOver",
     "Normal",
     "Priors",

@@ -1,6 +1,7 @@
 """fewcal: camera calibration from one or two views of a board, with error bars that are true."""
 
 from .boards import (
+    AprilGrid,
     AsymmetricCircleGrid,
     Board,
     Charuco,
@@ -28,6 +29,7 @@ from .verdict import Thresholds, Verdict
 from .views import View
 
 __all__ = [
+    "AprilGrid",
     "AsymmetricCircleGrid",
     "Board",
     "BoardNotFound",

@@ -11,6 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from .aprilgrid import AprilGrid
 from .charuco import Charuco
 from .chessboard import Chessboard
 from .circle_grid import AsymmetricCircleGrid, CircleGrid
@@ -20,6 +21,7 @@ from .errors import InvalidInput
 from .known_object import KnownObject
 
 __all__ = [
+    "AprilGrid",
     "AsymmetricCircleGrid",
     "Board",
     "Charuco",
@@ -87,6 +89,7 @@ class _Kind(Protocol):
 _KINDS: dict[str, _Kind] = {
     "chessboard": Chessboard,
     "charuco": Charuco,
+    "aprilgrid": AprilGrid,
     "circles": CircleGrid,
     "acircles": AsymmetricCircleGrid,
     "points": KnownObject,

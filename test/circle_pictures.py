@@ -72,3 +72,8 @@ def picture(
         rng=np.random.default_rng(seed),
     )
     return image, camera.project(board.points, T_camera_board)
+
+
+def two_views(board: CircleGrid | AsymmetricCircleGrid) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Two views that make a good camera."""
+    return picture(pose(board, 40, 10), board)[0], picture(pose(board, 40, 100), board)[0]

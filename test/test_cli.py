@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from board_frames import Image, empty, flat, pair
 from board_pictures import CAMERA
+from circle_pictures import ASYMMETRIC, SYMMETRIC, two_views
 from marker_pictures import CHARUCO, needs_markers, two_parts
 from test_report import check_schema
 from write_recordings import (
@@ -34,6 +35,7 @@ from write_recordings import (
 )
 
 import fewcal
+from fewcal.boards import Board
 from fewcal_ros.cli import main
 
 BOARD = "chessboard:9x6:0.025"
@@ -204,6 +206,26 @@ def test_parts_of_a_charuco_board_calibrate_a_camera(run: Any, tmp_path: Path) -
     wrong = run("calibrate", *images, "--board", "charuco:7x5:0.04:0.03:DICT_4X4_50")
     assert wrong.code == 3
     assert "The markers are those of DICT_5X5_50, not of DICT_4X4_50" in wrong.err
+
+
+@pytest.mark.parametrize("board", [SYMMETRIC, ASYMMETRIC], ids=str)
+def test_circle_grids_calibrate_a_camera(run: Any, tmp_path: Path, board: Board) -> None:
+    images = [save(tmp_path / f"view{i}.png", picture) for i, picture in enumerate(two_views(board))]
+    result = run("calibrate", *images, "--board", str(board), "--json")
+    assert result.code == 0, result.err
+    camera, std = result.content["camera"], result.content["std"]
+    assert [view["points"] for view in result.content["views"]] == [len(board.points)] * 2
+    assert abs(camera["fx"] - CAMERA.fx) < min(3 * std["fx"], 0.01 * CAMERA.fx)
+    assert result.content["rms_px"] < 0.02
+
+
+def test_a_board_that_looks_the_same_turned_is_warned_of(run: Any, tmp_path: Path) -> None:
+    images = [save(tmp_path / f"view{i}.png", picture) for i, picture in enumerate(two_views(SYMMETRIC))]
+    result = run("calibrate", *images, "--board", str(SYMMETRIC))
+    assert result.code == 0
+    assert_one_sentence(result.err)
+    assert "looks the same turned by 180 degrees" in result.err
+    assert "looks the same" not in result.out
 
 
 def test_the_wrong_board_size_is_named(run: Any, flat_image: str) -> None:

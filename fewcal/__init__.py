@@ -7,6 +7,7 @@ from .boards import (
     Charuco,
     Chessboard,
     CircleGrid,
+    KnownObject,
     parse_board,
     pose_ambiguity,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "FewcalError",
     "ImaginaryFocalLength",
     "InvalidInput",
+    "KnownObject",
     "ModelFoldsOver",
     "Normal",
     "Priors",

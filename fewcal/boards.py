@@ -18,6 +18,7 @@ from .circle_grid import AsymmetricCircleGrid, CircleGrid
 from .detection import Detection
 from .drawing import Drawing
 from .errors import InvalidInput
+from .known_object import KnownObject
 
 __all__ = [
     "AprilGrid",
@@ -26,6 +27,7 @@ __all__ = [
     "Charuco",
     "Chessboard",
     "CircleGrid",
+    "KnownObject",
     "parse_board",
     "pose_ambiguity",
 ]
@@ -37,7 +39,7 @@ class Board(Protocol):
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """(N, 3) points in the board frame, metres, all with z = 0."""
+        """(N, 3) points in the board frame, metres, all in one plane: z = 0 on what is printed."""
 
     @property
     def turns(self) -> int:
@@ -90,6 +92,7 @@ _KINDS: dict[str, _Kind] = {
     "aprilgrid": AprilGrid,
     "circles": CircleGrid,
     "acircles": AsymmetricCircleGrid,
+    "points": KnownObject,
 }
 """Kinds of boards by the word that their text form begins with."""
 

@@ -55,6 +55,8 @@ setup(
             "scipy-stubs>=1.14,<2",
             "types-PyYAML>=6.0.12,<7",
             "colcon-common-extensions>=0.3,<0.4",
+            "pypdfium2>=4.30,<6",  # this and the next rasterise what is printed
+            "resvg-py>=0.2,<1",
         ],
     },
     entry_points={

@@ -1,6 +1,16 @@
 """fewcal: camera calibration from one or two views of a board, with error bars that are true."""
 
-from .boards import Board, Chessboard, parse_board
+from .boards import (
+    AprilGrid,
+    AsymmetricCircleGrid,
+    Board,
+    Charuco,
+    Chessboard,
+    CircleGrid,
+    KnownObject,
+    parse_board,
+    pose_ambiguity,
+)
 from .calibration import Calibration, calibrate
 from .camera import Camera
 from .camera_info import read_camera_info, write_camera_info
@@ -19,15 +29,20 @@ from .verdict import Thresholds, Verdict
 from .views import View
 
 __all__ = [
+    "AprilGrid",
+    "AsymmetricCircleGrid",
     "Board",
     "BoardNotFound",
     "Calibration",
     "Camera",
+    "Charuco",
     "Chessboard",
+    "CircleGrid",
     "DegenerateViews",
     "FewcalError",
     "ImaginaryFocalLength",
     "InvalidInput",
+    "KnownObject",
     "ModelFoldsOver",
     "Normal",
     "Priors",
@@ -40,6 +55,7 @@ __all__ = [
     "calibrate",
     "detect",
     "parse_board",
+    "pose_ambiguity",
     "read_camera_info",
     "write_camera_info",
 ]

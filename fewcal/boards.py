@@ -1,22 +1,36 @@
-"""What is printed: calibration targets, and where their points are in metres.
+"""What is printed: calibration targets, each with its points in metres and the way to find it.
 
-A board has one text form, the same on the command line, in ROS parameters and in YAML:
-``KIND:COLUMNSxROWS:SIZE``, sizes in metres.
+A board has one text form, the same on the command line, in ROS parameters and in YAML: ``KIND:...``, sizes in
+metres.
 """
 
 from __future__ import annotations
 
-import math
-import re
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .aprilgrid import AprilGrid
+from .charuco import Charuco
+from .chessboard import Chessboard
+from .circle_grid import AsymmetricCircleGrid, CircleGrid
+from .detection import Detection
+from .drawing import Drawing
 from .errors import InvalidInput
+from .known_object import KnownObject
 
-_FORM = "chessboard:COLUMNSxROWS:SQUARE, for example chessboard:9x6:0.025 (interior corners, metres)"
+__all__ = [
+    "AprilGrid",
+    "AsymmetricCircleGrid",
+    "Board",
+    "Charuco",
+    "Chessboard",
+    "CircleGrid",
+    "KnownObject",
+    "parse_board",
+    "pose_ambiguity",
+]
 
 
 @runtime_checkable
@@ -25,55 +39,65 @@ class Board(Protocol):
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """(N, 3) points in the board frame, metres, all with z = 0."""
-
-
-@dataclass(frozen=True)
-class Chessboard:
-    """A chessboard, counted in interior corners.
-
-    The board frame has its origin at the first interior corner, x along a row of corners, y along a
-    column and z = x cross y, away from a camera that looks at the printed side.
-
-    Parameters
-    ----------
-    columns, rows : int
-        Interior corners along x and along y, at least 3 each. A board of 10x7 squares has 9x6.
-    square_size : float
-        Edge of a square, metres.
-
-    Raises
-    ------
-    InvalidInput
-        When a count is below 3 or the square size is not a positive length.
-    """
-
-    columns: int
-    rows: int
-    square_size: float
-
-    def __post_init__(self) -> None:
-        for name, count in (("columns", self.columns), ("rows", self.rows)):
-            if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 3:
-                raise InvalidInput(
-                    f"A chessboard needs at least 3 interior corners each way, but {name} is {count!r}."
-                )
-        if not (isinstance(self.square_size, float | int | np.number) and 0 < self.square_size < math.inf):
-            raise InvalidInput(
-                f"The square size must be a positive length in metres, not {self.square_size!r}."
-            )
+        """(N, 3) points in the board frame, metres, all in one plane: z = 0 on what is printed."""
 
     @property
-    def points(self) -> NDArray[np.float64]:
-        """(columns * rows, 3) interior corners, metres, row by row: x varies fastest, z = 0."""
-        y, x = np.mgrid[: self.rows, : self.columns].reshape(2, -1)
-        return np.stack([x, y, np.zeros_like(x)], axis=1) * float(self.square_size)
+    def turns(self) -> int:
+        """In how many turns about its own normal the board looks the same; 1 when it has but one way up."""
 
-    def __str__(self) -> str:
-        return f"chessboard:{self.columns}x{self.rows}:{float(self.square_size)!r}"
+    def detect(self, image: NDArray[Any], source: str = "", stamp_ns: int | None = None) -> Detection:
+        """Find the board in an image.
+
+        Parameters
+        ----------
+        image : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) array of uint8 or uint16
+            Grey, BGR(A) or RGB(A).
+        source : str
+            Where the image comes from; kept in the view.
+        stamp_ns : int, optional
+            Time of the image, nanoseconds; kept in the view.
+
+        Raises
+        ------
+        BoardNotFound
+            When the board cannot be located; `reason` is one of ``BoardNotFound.REASONS``.
+        InvalidInput
+            When the array is no image.
+        """
+
+    def draw(self) -> Drawing:
+        """What is printed, in the board frame.
+
+        Raises
+        ------
+        InvalidInput
+            When the board is an object that is not printed.
+        """
 
 
-def parse_board(text: str) -> Chessboard:
+class _Kind(Protocol):
+    """A class of boards that can be read from text."""
+
+    @property
+    def form(self) -> str:
+        """The text form with an example, as part of a sentence."""
+
+    def parse(self, text: str) -> Board:
+        """Read a board from its whole text form."""
+
+
+_KINDS: dict[str, _Kind] = {
+    "chessboard": Chessboard,
+    "charuco": Charuco,
+    "aprilgrid": AprilGrid,
+    "circles": CircleGrid,
+    "acircles": AsymmetricCircleGrid,
+    "points": KnownObject,
+}
+"""Kinds of boards by the word that their text form begins with."""
+
+
+def parse_board(text: str) -> Board:
     """Read the text form of a board; ``str(board)`` gives it back.
 
     Parameters
@@ -86,14 +110,25 @@ def parse_board(text: str) -> Chessboard:
     InvalidInput
         When the text is not of that form; the message shows the form.
     """
-    kind, _, rest = str(text).strip().partition(":")
-    if kind != "chessboard":
-        raise InvalidInput(f"There is no board kind {kind!r}; write {_FORM}.")
-    match = re.fullmatch(r"(\d{1,4})[xX](\d{1,4}):([^:]+)", rest)
-    if match is None:
-        raise InvalidInput(f"{text!r} is not a board; write {_FORM}.")
-    try:
-        square_size = float(match[3])
-    except ValueError:
-        raise InvalidInput(f"{match[3]!r} in {text!r} is not a length in metres; write {_FORM}.") from None
-    return Chessboard(int(match[1]), int(match[2]), square_size)
+    text = str(text).strip()
+    kind = text.partition(":")[0]
+    if kind not in _KINDS:
+        forms = "; or ".join(known.form for known in _KINDS.values())
+        raise InvalidInput(f"There is no board kind {kind!r}; write {forms}.")
+    return _KINDS[kind].parse(text)
+
+
+def pose_ambiguity(board: Board) -> str:
+    """Say what follows when a board looks the same turned in its plane; empty when it does not.
+
+    The camera is none the worse, since every view has a pose of its own. But what compares the poses of
+    several views, or of several cameras, takes one way up for the other.
+    """
+    if board.turns == 1:
+        return ""
+    return (
+        f"{board} looks the same turned by {360 // board.turns} degrees: the camera is calibrated all the "
+        "same, but T_camera_board may be turned by as much from view to view, so do not use the poses for "
+        "hand-eye or extrinsic calibration; a chessboard with an odd and an even count, such as 9x6, has one "
+        "way up."
+    )

@@ -2,14 +2,23 @@
 
 Around one corner c the image is modelled as two blurred edges that cross,
 
-    I(x) = (a + b E(n1 . (x - c) / s1) E(n2 . (x - c) / s2)) (1 + g . (x - c)),     E(t) = erf(t / sqrt 2)
+    I(x) = (a + b P(x - c + s^2 g)) (1 + g . (x - c)),     P = E1 E2 + 4 cos(n1, n2) phi(t1) phi(t2)
 
-with the normals n1, n2 of the edges, the blur s1, s2 of each (Gaussian sd, px: defocus, motion and the pixel
-itself), the brightness a, the contrast b and the slope g of the light. All ten parameters of all corners are
-fitted at once by Levenberg-Marquardt over the pixels of a window that follows the squares in size and
-foreshortening. Under white noise this is the maximum-likelihood location, and as the model is symmetric about
-c, so is what it leaves out: glare that eats into the black squares, gamma, the ends of a skew blur. The
-covariance of c is that of the fit, with the noise taken from its residuals.
+with ti = ni . x / si the distance from an edge in units of its blur, Ei = erf(ti / sqrt 2) and phi the normal
+density; the normals n1, n2 of the edges, the blur s1, s2 of each (Gaussian sd, px: defocus, motion and the
+pixel itself) and its mean square s^2, the brightness a, the contrast b and the slope g of the light.
+
+The second term of P is what an even blur makes of edges that are not at right angles, to first order. The
+shift s^2 g is what it does in light that falls off, where F(x) (1 + g . x) gains s^2 g . grad F; without it
+corners would be drawn to the darker side. All ten parameters of all corners are fitted at once
+over the pixels of a window that follows the squares in size and foreshortening. What the model leaves out is
+symmetric about c, as the model is, and does not move it: glare that eats into the black squares, gamma, the
+ends of a skew blur.
+
+Where the bright squares have a marker inside, at a distance g from their edges, the black border of it is
+part of the model: with d the distances from the two edges and Phi the normal distribution function, P becomes
+P - 2 [Phi((d1 - g1) / s1) Phi((d2 - g2) / s2) + Phi((-d1 - g3) / s1) Phi((-d2 - g4) / s2)], the sign of d2
+being such that both are in the bright squares. The bits inside are left out of the window.
 """
 
 from __future__ import annotations
@@ -22,10 +31,11 @@ from numpy.typing import NDArray
 
 from .grid import local_axes
 from .saddle_points import Image
+from .window_fit import Pixels, Windows, cut_windows, fit_windows
 
 Array = NDArray[np.float64]
-Pixels = NDArray[np.float32]
-"""Grey levels and what they are compared with: half the memory, and 24 bits are more than cameras have."""
+Edge = tuple[Pixels, Pixels]
+"""Distances from an edge, and its blur."""
 
 WINDOW_SHARE = 0.42
 """Half width of the window as a share of the square, each way: clear of the next edge with its blur."""
@@ -33,27 +43,51 @@ MAX_RADIUS_PX = 10
 """Largest half width: 20 px of each edge; more would cost time and see the edges bend by distortion."""
 MIN_RADIUS_PX = 2.0
 """Smallest half width: below it ten parameters have hardly more pixels than themselves."""
-FLOOR_PX = 0.005
-"""Least sd of a corner: print, paper and lens models are not better than this, however low the noise."""
 MIN_EXPLAINED = 0.6
 """Share of the window's variance that the model must explain: 0.95 and more at a clean corner."""
 MIN_CONTRAST_SHARE = 0.2
 """Least step of brightness at a corner, as a share of the board's median: light falls off and glare
 fills dark squares."""
-QUANTISATION = 1 / 12
-"""Variance of rounding to whole grey levels: no image has less noise."""
 MIN_BLUR_PX, MAX_BLUR_PX = 0.3, 30.0
 """A pixel is itself a blur of 0.29 px; beyond 30 px no window resolves the edge."""
-_ITERATIONS = 14
-"""Levenberg-Marquardt steps; 5 to 8 suffice from the saddle point."""
-_CONVERGED_PX = 3e-3
-"""Steps of the location below this are far below its sd."""
+FREE_MARGIN_PX = 1.5
+"""What is left out of the window is blurred into it: two sd of a sharp image."""
+BAND_PX = 4.0
+"""Half width that the bands along the edges need to show the blur; up to it they are let into the marker,
+whose edges run a little apart from those of the square by perspective."""
+MIN_FREE_PX = 1.0
+"""Least half width of these bands: they show both sides of the edge."""
+STRONG_PERCENT = 90
+"""Percentile of the contrasts that is that of a corner, whatever covers the others."""
 _PARAMETERS = 10
+_LOWER, _UPPER = np.full((2, _PARAMETERS), [[-np.inf], [np.inf]])
+_LOWER[4:6], _UPPER[4:6] = MIN_BLUR_PX, MAX_BLUR_PX
+
+
+@dataclass(frozen=True)
+class Squares:
+    """What is printed in the squares that meet at a corner.
+
+    Attributes
+    ----------
+    marker : float
+        Distance of the markers in the bright squares from their edges, as a share of the square; infinite for
+        none.
+    known : float
+        How far from the edges that holds, as a share of the square: what lies farther from both edges is not
+        looked at.
+    """
+
+    marker: float = math.inf
+    known: float = math.inf
+
+
+PLAIN = Squares()
 
 
 @dataclass(frozen=True, eq=False)
 class RefinedCorners:
-    """Corners of a grid, located at full resolution.
+    """Corners of a grid, located at full resolution; NaN where none was looked for.
 
     Attributes
     ----------
@@ -79,12 +113,20 @@ class RefinedCorners:
     def good(self) -> NDArray[np.bool_]:
         """(R, C) whether the image shows a corner of this board there at all."""
         step = np.where(np.indices(self.contrast.shape).sum(axis=0) % 2 == 0, self.contrast, -self.contrast)
-        usual = np.median(step)
+        explained = self.explained > MIN_EXPLAINED
+        # What covers most of a board may be flat: that is explained, but has no contrast.
+        strongest = np.percentile(np.abs(step[explained]), STRONG_PERCENT) if explained.any() else 0.0
+        strong = explained & (np.abs(step) > MIN_CONTRAST_SHARE * strongest)
+        if not strong.any():
+            return strong
+        usual = np.median(step[strong])
         enough = step * np.sign(usual) > MIN_CONTRAST_SHARE * abs(usual)
-        return np.asarray((self.explained > MIN_EXPLAINED) & enough)
+        return np.asarray(explained & enough)
 
 
-def refine_corners(image: Image, grid: Array) -> RefinedCorners:
+def refine_corners(
+    image: Image, grid: Array, frames: Array | None = None, squares: Squares = PLAIN
+) -> RefinedCorners:
     """Locate the corners of a grid to sub-pixel accuracy.
 
     Parameters
@@ -92,79 +134,58 @@ def refine_corners(image: Image, grid: Array) -> RefinedCorners:
     image : (H, W) array
         Grey levels at full resolution.
     grid : (R, C, 2)
-        Approximate corners, pixels, to within a fifth of a square; all known.
+        Approximate corners, pixels, to within a fifth of a square; NaN for those to leave out.
+    frames : (R, C, 3, 3), optional
+        Homography from the plane of the board, in squares along row and column from the corner, to pixels
+        from it. Taken from the neighbours, all of which must be known, when left out.
+    squares : Squares
+        What is in them.
     """
-    across, down = local_axes(grid)
-    shape = grid.shape[:2]
-    axes = np.stack([across, down], axis=-2).reshape(-1, 2, 2)
-    p, sigma, explained = _fit(image, grid.reshape(-1, 2), axes)
-    p = p.reshape(*shape, _PARAMETERS)
-    return RefinedCorners(p[..., :2], sigma.reshape(shape), p[..., 4:6], p[..., 7], explained.reshape(shape))
+    if frames is None:
+        frames = np.zeros((*grid.shape[:2], 3, 3))
+        frames[..., :2, 0], frames[..., :2, 1] = local_axes(grid)
+        frames[..., 2, 2] = 1
+    known = np.isfinite(grid).all(axis=-1)
+    p, (sigma, explained) = np.full((*known.shape, _PARAMETERS), np.nan), np.full((2, *known.shape), np.nan)
+    if known.any():
+        p[known], sigma[known], explained[known] = _fit(image, grid[known], frames[known], squares)
+    return RefinedCorners(p[..., :2], sigma, p[..., 4:6], p[..., 7], explained)
 
 
-def _fit(image: Image, start: Array, axes: Array) -> tuple[Array, Array, Array]:
+def _fit(image: Image, start: Array, frames: Array, squares: Squares) -> tuple[Array, Array, Array]:
     """Fit the model at every start; parameters (N, 10), sigma (N,) and share explained (N,)."""
     origin = np.rint(start)
-    x, values, weights = _windows(image, origin, axes)
-    p = _initial(start - origin, axes, x, values, weights)
-    damping = np.full(len(p), 1e-3)
-    cost, normal, gradient = _linearise(p, x, values, weights)
-    moving = np.arange(len(p))
-    for _ in range(_ITERATIONS):
-        step = _solve(normal[moving], gradient[moving, :, None], damping[moving])[..., 0]
-        trial = _bounded(p[moving] + step)
-        trial_cost, trial_normal, trial_gradient = _linearise(trial, x, values[moving], weights[moving])
-        better = trial_cost < cost[moving]
-        damping[moving] *= np.where(better, 0.1, 10.0)
-        done = moving[better]
-        p[done], cost[done] = trial[better], trial_cost[better]
-        normal[done], gradient[done] = trial_normal[better], trial_gradient[better]
-        moving = moving[np.abs(step[:, :2]).max(axis=1) > _CONVERGED_PX]
-        if len(moving) == 0:
-            break
-    pixels = np.maximum(weights.sum(axis=1), 1)
-    mean = np.sum(weights * values, axis=1) / pixels
-    variance = np.sum(weights * (values - mean[:, None]) ** 2, axis=1)
-    noise = np.maximum(cost / np.maximum(pixels - _PARAMETERS, 1), QUANTISATION)
-    covariance = _solve(normal, np.broadcast_to(np.eye(_PARAMETERS), normal.shape), np.zeros(len(p)))
-    spread = np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], 0) / 2
-    sigma = np.sqrt(spread * noise + FLOOR_PX**2)
-    explained = 1 - cost / np.maximum(variance, QUANTISATION * pixels)
+    axes = np.swapaxes(frames[:, :2, :2], 1, 2)
+    windows = _windows(image, origin, axes, squares)
+    first = _initial(start - origin, axes, windows)
+    if math.isfinite(squares.marker):
+        windows = windows._replace(constants=(_gaps(first, frames, squares.marker),))
+    p, sigma, explained = fit_windows(_model, first, windows, _LOWER, _UPPER)
     p[:, :2] += origin
     return p, sigma, explained
 
 
-def _linearise(p: Array, x: Pixels, values: Pixels, weights: Pixels) -> tuple[Array, Array, Array]:
-    """Sum of squares (N,), normal matrix (N, 10, 10) and right side (N, 10) at given parameters."""
-    model, J = _model(p.astype(np.float32), x)
-    residual = (values - model) * weights
-    J *= weights[:, None]  # 0 or 1, as good as its square
-    cost = np.einsum("np,np->n", residual, residual, dtype=np.float64)
-    normal, gradient = J @ np.swapaxes(J, 1, 2), (J @ residual[..., None])[..., 0]
-    return cost, normal.astype(np.float64), gradient.astype(np.float64)
-
-
-def _windows(image: Image, origin: Array, axes: Array) -> tuple[Pixels, Pixels, Pixels]:
-    """Pixels around each corner: offsets (2, P), grey levels (N, P) and weights (N, P), 0 outside."""
+def _windows(image: Image, origin: Array, axes: Array, squares: Squares) -> Windows:
+    """Pixels around each corner, as far as its squares reach."""
     reach = WINDOW_SHARE * np.abs(axes).sum(axis=1).max()
     radius = int(np.clip(np.ceil(reach), MIN_RADIUS_PX, MAX_RADIUS_PX))
-    dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1].reshape(2, -1)
-    column = origin[:, :1].astype(np.intp) + dx
-    row = origin[:, 1:].astype(np.intp) + dy
-    height, width = image.shape
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    values = image[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)].astype(np.float32)
-    x = np.stack([dx, dy]).astype(np.float32)
+    x, values, inside, _ = cut_windows(image, origin, radius)
     # In units of squares along the two axes of the grid; never narrower than the least radius.
     length = np.linalg.norm(axes, axis=2)
     reach = np.clip(WINDOW_SHARE * length, MIN_RADIUS_PX, MAX_RADIUS_PX)
     unit = axes / np.maximum(length, 1e-9)[..., None]
     along = np.abs(np.swapaxes(np.linalg.pinv(unit), 1, 2) @ x)
-    return x, values, (inside & (along <= reach[..., None]).all(axis=1)).astype(np.float32)
+    inside *= (along <= reach[..., None]).all(axis=1)
+    if squares.known < WINDOW_SHARE:
+        clear, known = (share * length - FREE_MARGIN_PX for share in (squares.marker, squares.known))
+        free = np.maximum(clear, np.clip(known, MIN_FREE_PX, BAND_PX))
+        inside *= (along <= free[..., None]).any(axis=1)
+    return Windows(x, values, inside)
 
 
-def _initial(offset: Array, axes: Array, x: Pixels, values: Pixels, weights: Pixels) -> Array:
+def _initial(offset: Array, axes: Array, windows: Windows) -> Array:
     """Start of the fit: c, two edge angles, two blurs, brightness, contrast, slope of the light."""
+    x, values, weights, _ = windows
     p = np.zeros((len(offset), _PARAMETERS))
     p[:, :2] = offset
     p[:, 2:4] = np.arctan2(axes[..., 1], axes[..., 0])
@@ -179,30 +200,87 @@ def _initial(offset: Array, axes: Array, x: Pixels, values: Pixels, weights: Pix
     return p
 
 
-def _model(p: Pixels, x: Pixels) -> tuple[Pixels, Pixels]:
-    """Brightness (N, P) and its derivatives (N, 10, P) by the parameters."""
+def _model(p: Pixels, x: Pixels, gap: Pixels | None = None) -> tuple[Pixels, Pixels]:
+    """Brightness (N, P) and its derivatives (N, 10, P) by the parameters; gap (N, 4) is g of the markers."""
     c_x, c_y, angle, other_angle, blur, other_blur, a, b, g_x, g_y = p.T[..., None]
     dx, dy = x[0] - c_x, x[1] - c_y
+    light = 1 + g_x * dx + g_y * dy
+    variance = (blur * blur + other_blur * other_blur) / 2
+    dx, dy = dx + variance * g_x, dy + variance * g_y
     E, by_E, along, t, cos, sin = _edge(dx, dy, angle, blur)
     F, by_F, other_along, other_t, other_cos, other_sin = _edge(dx, dy, other_angle, other_blur)
-    checker = E * F
+    skew, by_angle = np.cos(angle - other_angle), np.sin(angle - other_angle)
+    both = by_E * by_F * (blur * other_blur)
+    checker = E * F + skew * both
+    by_E, by_F = by_E * F - both * (skew * t / blur), E * by_F - both * (skew * other_t / other_blur)
+    by_blur, by_other_blur = -by_E * t, -by_F * other_t
+    if gap is not None:
+        added = _markers((t * blur, blur), (other_t * other_blur, other_blur), gap, np.sign(b))
+        for total, more in zip((checker, by_E, by_F, by_blur, by_other_blur), added, strict=True):
+            total += more
     reflectance = a + b * checker
-    light = 1 + g_x * dx + g_y * dy
     contrast = b * light
-    by_E *= contrast * F  # derivatives of the brightness by the distances from the two edges
-    by_F *= contrast * E
+    by_E *= contrast  # derivatives of the brightness by the distances from the two edges
+    by_F *= contrast
+    both *= contrast * by_angle
+    by_x, by_y = by_E * sin + by_F * other_sin, -by_E * cos - by_F * other_cos
+    by_variance = by_x * g_x + by_y * g_y
     J = np.empty((len(p), _PARAMETERS, x.shape[1]), np.float32)
-    J[:, 0] = by_E * sin + by_F * other_sin - reflectance * g_x
-    J[:, 1] = -by_E * cos - by_F * other_cos - reflectance * g_y
-    J[:, 2] = -by_E * along
-    J[:, 3] = -by_F * other_along
-    J[:, 4] = -by_E * t
-    J[:, 5] = -by_F * other_t
+    J[:, 0] = by_x - reflectance * g_x
+    J[:, 1] = by_y - reflectance * g_y
+    J[:, 2] = -by_E * along - both
+    J[:, 3] = -by_F * other_along + both
+    J[:, 4] = by_blur * contrast - by_variance * blur
+    J[:, 5] = by_other_blur * contrast - by_variance * other_blur
     J[:, 6] = light
     J[:, 7] = light * checker
-    J[:, 8] = reflectance * dx
-    J[:, 9] = reflectance * dy
+    J[:, 8] = reflectance * (x[0] - c_x) - by_x * variance
+    J[:, 9] = reflectance * (x[1] - c_y) - by_y * variance
     return reflectance * light, J
+
+
+def _markers(edge: Edge, other: Edge, gap: Pixels, sign: Pixels) -> Pixels:
+    """What markers add to E E, and to its derivatives by the distances from the edges and by the blurs.
+
+    The sign (N, 1) is that of the contrast.
+    """
+    total = np.zeros((5, *edge[0].shape), edge[0].dtype)
+    for side, near in ((1, gap[:, :2]), (-1, gap[:, 2:])):
+        first, by_first, by_blur = _step(np.float32(side), *edge, near[:, :1])
+        second, by_second, by_other_blur = _step(side * sign, *other, near[:, 1:])
+        total -= (2 * sign) * np.stack(
+            [first * second, by_first * second, first * by_second, by_blur * second, first * by_other_blur]
+        )
+    return total
+
+
+def _step(
+    side: Pixels | np.float32, distance: Pixels, blur: Pixels, gap: Pixels
+) -> tuple[Pixels, Pixels, Pixels]:
+    """Phi((side d - g) / s), and its derivatives by d and by s."""
+    from scipy.special import ndtr
+
+    t = (side * distance - gap) / blur
+    slope = np.exp(-0.5 * t * t) / (blur * np.float32(math.sqrt(2 * math.pi)))
+    return ndtr(t), side * slope, -slope * t
+
+
+def _gaps(p: Array, frames: Array, share: float) -> Pixels:
+    """Distances (N, 4) of the markers from both edges, pixels: of the one, then of the opposite one."""
+    sign = np.where(p[:, 7] > 0, 1.0, -1.0)
+    gaps = []
+    for side in (1, -1):
+        # The first edge is along the row: the side it rises to is that of the next row; for the second edge,
+        # along the column, it is that of the column before.
+        u, v = -side * sign * share, np.full(len(p), side * share)
+        x, y, w = np.moveaxis(frames @ np.stack([u, v, np.ones(len(p))], axis=1)[..., None], 1, 0)[..., 0]
+        gaps += [side * _distance(x / w, y / w, p[:, 2]), side * sign * _distance(x / w, y / w, p[:, 3])]
+    return np.stack(gaps, axis=1).astype(np.float32)
+
+
+def _distance(x: Array, y: Array, angle: Array) -> Array:
+    """How far points lie to the side of lines through the origin."""
+    return y * np.cos(angle) - x * np.sin(angle)
 
 
 def _edge(
@@ -216,17 +294,3 @@ def _edge(
     t = (dy * cos - dx * sin) / blur
     slope = np.exp(-0.5 * t * t) * (math.sqrt(2 / math.pi) / blur)
     return erf(t * math.sqrt(0.5)), slope, dx * cos + dy * sin, t, cos, sin
-
-
-def _bounded(p: Array) -> Array:
-    """Keep the blurs where they mean something."""
-    p[:, 4:6] = np.clip(p[:, 4:6], MIN_BLUR_PX, MAX_BLUR_PX)
-    return p
-
-
-def _solve(normal: Array, right: Array, damping: Array) -> Array:
-    """Solve damped normal equations, scaled by their diagonal so that units do not matter."""
-    scale = np.sqrt(np.maximum(np.einsum("nkk->nk", normal), 1e-20))
-    scaled = normal / (scale[:, :, None] * scale[:, None, :])
-    scaled[:, range(_PARAMETERS), range(_PARAMETERS)] += damping[:, None] + 1e-9
-    return np.asarray(np.linalg.solve(scaled, right / scale[:, :, None]) / scale[:, :, None])

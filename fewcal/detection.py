@@ -1,63 +1,31 @@
-"""Find a chessboard in an image, and say why when there is none to use.
+"""Find a board in an image: what all kinds of boards share.
 
-    image -> reduced copies, coarse to fine -> saddle points -> grid -> corners at full resolution -> View
-
-The coarse copies make it fast, above all where there is no board. A board that shows at none of them is
-looked for at full size only when a finer copy shows the beginnings of one.
-
-The order of the corners is that of ``Chessboard.points``, and it is always the same for the same view:
-
-- x cross y points away from the camera: the board is never mirrored. (A board seen in a mirror is a valid
-  view all the same: a chessboard is its own mirror image.)
-- Of the turns that remain, the first corner is one whose outer square, the corner square of the board, is
-  black. When columns and rows differ by an odd number (9x6) this settles it.
-- Where it does not, the board looks the same when turned, and the first corner is the one nearest to the
-  top left corner of the image, measured as u + v.
+Each kind looks for itself (``Board.detect``); its module says how.
 """
 
 from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .boards import Chessboard
-from .corner_refinement import RefinedCorners, refine_corners
 from .errors import BoardNotFound
-from .grey import GreyImage, as_grey
-from .grid import fill_gaps, find_grids, local_axes, predict
-from .planarity import planar_residuals
-from .saddle_points import find_saddle_points, sample
 from .views import View
+
+if TYPE_CHECKING:
+    from .boards import Board
 
 Array = NDArray[np.float64]
 
-COARSEST_PX = 300
-"""No reduced copy is smaller than this on its long side: a board across half of it has squares of 15 px."""
-SEARCHED_PX = 1000
-"""Copies up to this size are always searched, larger ones only when there is evidence of a board; on a
-1920x1080 image that is every copy but the full one."""
-SMALL_SQUARE_PX = 8.0
-"""Squares smaller than this in one copy are shown better by the next; larger ones gain nothing."""
 EDGE_WIDTH_PER_BLUR = 2.563
 """Width of an edge between 10 % and 90 % of its step, in Gaussian standard deviations."""
 MAX_EDGE_SHARE = 0.5
 """Widest edge, as a share of the square: beyond it the edges of one square run into each other."""
-MIN_GOOD_SHARE = 0.75
-"""Share of the corners that must be corners before a grid of another size is called a board."""
-MIN_CLAIMED = 12
-"""Corners that a grid of another size must have before it is called a board: code and texture often line up
-three by three."""
-LOOKED_AT = 8
-"""Rows and columns of it that are tested: enough to tell, and quick on a large board."""
 MIN_BORDER_PX = 2.0
 """A corner closer to the border of the image does not show its four squares."""
-_ATTEMPTS = 3
-"""Rounds of looking again for corners that were wrong; glare often moves one by a part of a square."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +35,8 @@ class Detection:
     Attributes
     ----------
     view : View
-        The correspondences, with the sd of each corner.
+        The correspondences, with the sd of each point. Boards that are told from a part of them have only
+        the points seen, in the order of ``board.points``.
     edge_width_px : float
         How wide the edges of the squares are in the image, between 10 % and 90 % of the step from black to
         white: median over the corners, in the direction in which it is larger. 2 px is sharp; defocus and
@@ -92,14 +61,14 @@ def prepare() -> None:
         importlib.import_module(module)
 
 
-def detect(image: NDArray[Any], board: Chessboard, source: str = "", stamp_ns: int | None = None) -> View:
+def detect(image: NDArray[Any], board: Board, source: str = "", stamp_ns: int | None = None) -> View:
     """Find a board in an image.
 
     Parameters
     ----------
     image : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) array of uint8 or uint16
         Grey, BGR(A) or RGB(A).
-    board : Chessboard
+    board : Board
         The board to look for.
     source : str
         Where the image comes from; kept in the view.
@@ -108,12 +77,13 @@ def detect(image: NDArray[Any], board: Chessboard, source: str = "", stamp_ns: i
 
     Returns
     -------
-    View with the corners in the order of ``board.points`` and one sd for each, pixels.
+    View with the points in the order of ``board.points`` and one sd for each, pixels. Kinds that may be seen
+    in part give the points that were found.
 
     Raises
     ------
     BoardNotFound
-        When the whole board cannot be located; `reason` is one of ``BoardNotFound.REASONS``.
+        When the board cannot be located; `reason` is one of ``BoardNotFound.REASONS``.
     InvalidInput
         When the array is no image.
     """
@@ -121,177 +91,32 @@ def detect(image: NDArray[Any], board: Chessboard, source: str = "", stamp_ns: i
 
 
 def detect_board(
-    image: NDArray[Any], board: Chessboard, source: str = "", stamp_ns: int | None = None
+    image: NDArray[Any], board: Board, source: str = "", stamp_ns: int | None = None
 ) -> Detection:
     """Find a board as :func:`detect` does, and measure how sharply the image shows it."""
-    grey = as_grey(image)
-    corners = _find_corners(grey, board)
-    points, sigma = _in_order(grey, corners, board)
-    view = View(board.points, points, sigma, source, stamp_ns)
-    return Detection(view, _edge_width(corners), _square_size(corners.points))
+    return board.detect(image, source, stamp_ns)
 
 
-def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
-    """Locate the first grid of the board's size that stands all tests, coarse to fine."""
-    largest = np.empty((0, 0, 2))
-    failure: BoardNotFound | None = None
-    for factor in _reductions(grey):
-        if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(largest / factor):
-            break
-        reduced = _reduce(grey, factor)
-        for found in find_grids(reduced, find_saddle_points(reduced)):
-            grid = (found + 0.5) * factor - 0.5
-            if sorted(grid.shape[:2]) == sorted((board.columns, board.rows)):
-                try:
-                    return _locate(grey, grid)
-                except BoardNotFound as error:
-                    failure = failure or error
-            elif grid.size > largest.size:
-                largest = grid
-    raise failure or _not_found(grey, largest, board)
+def edge_width(blur: Array) -> float:
+    """Median width of edges, pixels, in the direction in which it is larger, from their blur (..., 2), sd."""
+    return EDGE_WIDTH_PER_BLUR * float(np.median(blur.reshape(-1, 2), axis=0).max())
 
 
-def _shows_small_squares(grid: Array) -> bool:
-    """Whether a grid was found whose squares are so small that a finer copy may show more of it."""
-    return min(grid.shape[:2]) >= 3 and _square_size(grid) < SMALL_SQUARE_PX
+def is_blurred(edge_width_px: float, square_px: float) -> bool:
+    """Whether the edges of one square run into each other."""
+    return edge_width_px > MAX_EDGE_SHARE * square_px
 
 
-def _square_size(grid: Array) -> float:
-    """Median length, pixels, of the shorter side of the squares of a grid."""
-    across, down = (np.linalg.norm(axes, axis=2) for axes in local_axes(grid))
-    return float(np.nanmedian(np.fmin(across, down)))
-
-
-def _reductions(grey: GreyImage) -> list[int]:
-    """Factors of the reduced copies, coarse to fine, each half the one before."""
-    factor = 1
-    while max(grey.shape) / (2 * factor) >= COARSEST_PX and min(grey.shape) >= 4 * factor:
-        factor *= 2
-    return [factor >> k for k in range(factor.bit_length())]
-
-
-def _reduce(grey: GreyImage, factor: int) -> GreyImage:
-    """Mean over blocks of factor x factor pixels; a rest at the right and the bottom is left out."""
-    if factor == 1:
-        return grey
-    height, width = (size // factor for size in grey.shape)
-    block = grey[: height * factor, : width * factor]
-    return cv2.resize(block, (width, height), interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
-
-
-def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound:
-    """Say why the largest grid of the image is not the board."""
-    rows, columns = sorted(grid.shape[:2])
-    asked_rows, asked_columns = sorted((board.rows, board.columns))
-    part = grid[:LOOKED_AT, :LOOKED_AT]
-    corners = refine_corners(grey, fill_gaps(part)) if rows >= 3 and rows * columns >= MIN_CLAIMED else None
-    if corners is None or _passing(grey, corners) < MIN_GOOD_SHARE:
-        return BoardNotFound(
-            "no board", "No chessboard is to be seen; show it whole, well lit, with a white margin."
-        )
-    if _is_blurred(corners):
-        return _blurred(corners)
-    if board.columns < board.rows:
-        rows, columns, asked_rows, asked_columns = columns, rows, asked_columns, asked_rows
-    found, asked = f"{columns}x{rows}", f"{asked_columns}x{asked_rows}"
-    if rows <= asked_rows and columns <= asked_columns and _at_border(grey, grid):
-        return BoardNotFound(
-            "cut off",
-            f"Only {found} of the {asked} interior corners are in the image; bring the whole board into it.",
-        )
-    hint = "give the size of the board that is shown"
-    if (columns, rows) == (asked_columns - 1, asked_rows - 1):
-        hint = f"a board of {asked} squares has {found} interior corners"
-    return BoardNotFound(
-        "wrong size", f"Found {found} interior corners where {asked} were asked for; {hint}."
-    )
-
-
-def _passing(grey: GreyImage, corners: RefinedCorners) -> float:
-    """Share of the corners that stand the tests of a board, which texture and code do not."""
-    residuals, allowed = planar_residuals(corners, grey.shape)
-    return float(np.mean(corners.good & (np.linalg.norm(residuals, axis=2) < allowed)))
-
-
-def _edge_width(corners: RefinedCorners) -> float:
-    """Median width of the edges, pixels, along rows or along columns, whichever is wider."""
-    return EDGE_WIDTH_PER_BLUR * float(np.median(corners.blur, axis=(0, 1)).max())
-
-
-def _is_blurred(corners: RefinedCorners) -> bool:
-    return _edge_width(corners) > MAX_EDGE_SHARE * _square_size(corners.points)
-
-
-def _blurred(corners: RefinedCorners) -> BoardNotFound:
+def blurred(edge_width_px: float, square_px: float) -> BoardNotFound:
+    """Say that the image is too blurred for squares of this size."""
     return BoardNotFound(
         "blurred",
-        f"The edges of the squares are {_edge_width(corners):.1f} px wide and the squares "
-        f"{_square_size(corners.points):.1f} px; hold the board still, or focus.",
+        f"The edges of the squares are {edge_width_px:.1f} px wide and the squares {square_px:.1f} px; "
+        "hold the board still, or focus.",
     )
 
 
-def _at_border(grey: GreyImage, grid: Array) -> bool:
-    """Whether the next row or column beyond a grid would touch the border of the image."""
-    wide = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    beyond, _ = predict(wide)
-    return _outside(grey, beyond, 0)
-
-
-def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
-    """Corners at full resolution; those that fail are looked for again where the others put them."""
-    grid = fill_gaps(grid)
-    for _ in range(_ATTEMPTS):
-        corners = refine_corners(grey, grid)
-        residuals, allowed = planar_residuals(corners, grey.shape)
-        misplaced = np.linalg.norm(residuals, axis=2) > allowed
-        bad = misplaced | ~corners.good
-        if not bad.any():
-            break
-        grid = np.where(bad[..., None], corners.points - residuals, corners.points)
-    if _is_blurred(corners):
-        raise _blurred(corners)
-    if _outside(grey, corners.points, MIN_BORDER_PX):
-        raise BoardNotFound(
-            "cut off", "Part of the board is beyond the border of the image; bring the whole board into it."
-        )
-    if not corners.good.all():
-        raise BoardNotFound(
-            "cut off",
-            f"{int((~corners.good).sum())} of the {bad.size} corners cannot be seen; uncover the whole board "
-            "and keep reflections off it.",
-        )
-    if misplaced.any():
-        raise BoardNotFound(
-            "not planar",
-            f"{int(misplaced.sum())} of the {bad.size} corners are not where a flat board would show them; "
-            "hold the board flat and free of reflections.",
-        )
-    return corners
-
-
-def _outside(grey: GreyImage, points: Array, margin: float) -> bool:
+def outside(image_shape: tuple[int, ...], points: Array, margin: float) -> bool:
     """Whether any point lies beyond the border of the image or closer to it than a margin, pixels."""
-    size = np.array(grey.shape[::-1])
+    size = np.array(image_shape[1::-1])
     return bool(((points < margin) | (points > size - 1 - margin)).any())
-
-
-def _in_order(grey: GreyImage, corners: RefinedCorners, board: Chessboard) -> tuple[Array, Array]:
-    """Corners (N, 2) and sigma (N,) in the order of ``board.points``; see the module for the convention."""
-    grid = np.concatenate([corners.points, corners.sigma[..., None]], axis=2)
-    across, down = (np.mean(a, axis=(0, 1)) for a in local_axes(corners.points))
-    if across[0] * down[1] - across[1] * down[0] < 0:
-        grid = grid[:, ::-1]
-    size = (board.rows, board.columns)
-    turns = [turn for turn in (np.rot90(grid, k) for k in range(4)) if turn.shape[:2] == size]
-    black = [_first_is_black(grey, turn[..., :2]) for turn in turns]
-    first = min(range(len(turns)), key=lambda k: (not black[k], turns[k][0, 0, :2].sum()))
-    ordered = np.ascontiguousarray(turns[first]).reshape(-1, 3)
-    return ordered[:, :2], ordered[:, 2]
-
-
-def _first_is_black(grey: GreyImage, grid: Array) -> bool:
-    """Whether the square beyond the first corner is black: it is like every second one on the diagonal."""
-    centres = (grid[:-1, :-1] + grid[1:, 1:] + grid[:-1, 1:] + grid[1:, :-1]) / 4
-    brightness = sample(grey, centres)
-    like_first = np.indices(brightness.shape).sum(axis=0) % 2 == 0
-    return bool(brightness[like_first].mean() < brightness[~like_first].mean())

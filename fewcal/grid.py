@@ -338,6 +338,12 @@ def local_axes(grid: Array) -> tuple[Array, Array]:
     return steps[0], steps[1]
 
 
+def square_size(grid: Array) -> float:
+    """Median length, pixels, of the shorter side of the squares of a grid (R, C, 2), NaN where unknown."""
+    across, down = (np.linalg.norm(axes, axis=2) for axes in local_axes(grid))
+    return float(np.nanmedian(np.fmin(across, down)))
+
+
 def _crop(grid: Indices, swapped: bool) -> tuple[Indices, bool]:
     """Drop empty rows and columns at the rim."""
     rows, columns = np.flatnonzero((grid >= 0).any(axis=1)), np.flatnonzero((grid >= 0).any(axis=0))

@@ -39,7 +39,7 @@ _ROUNDS = 4
 
 
 def planar_residuals(corners: RefinedCorners, image_shape: tuple[int, ...]) -> tuple[Array, Array]:
-    """Distance of each corner from where a plane behind a smooth lens would show it.
+    """Distance of each corner of a whole grid from where a plane behind a smooth lens would show it.
 
     Parameters
     ----------
@@ -55,23 +55,57 @@ def planar_residuals(corners: RefinedCorners, image_shape: tuple[int, ...]) -> t
     allowed : (R, C)
         Largest length of a residual that a good corner may have, pixels.
     """
-    points = corners.points
-    rows, columns = points.shape[:2]
-    board = np.indices((rows, columns))[::-1].reshape(2, -1).T.astype(np.float64)
-    square = np.fmin(*(np.linalg.norm(axes, axis=2) for axes in local_axes(points)))
+    rows, columns = corners.points.shape[:2]
+    plane = np.indices((rows, columns))[::-1].reshape(2, -1).T.astype(np.float64)
+    square = np.fmin(*(np.linalg.norm(axes, axis=2) for axes in local_axes(corners.points)))
+    residuals, allowed = plane_residuals(
+        plane, corners.points.reshape(-1, 2), square.ravel(), corners.sigma.ravel(), image_shape
+    )
+    return residuals.reshape(rows, columns, 2), allowed.reshape(rows, columns)
+
+
+def plane_residuals(
+    plane: Array, pixels: Array, spacing: Array, sigma: Array, image_shape: tuple[int, ...]
+) -> tuple[Array, Array]:
+    """Distance of each point from where a plane behind a smooth lens would show it.
+
+    Parameters
+    ----------
+    plane : (N, 2)
+        The points on the plane, in any unit.
+    pixels : (N, 2)
+        The same points in the image.
+    spacing : (N,)
+        Distance to their neighbours in the image, where it is shortest, pixels.
+    sigma : (N,)
+        Their sd, pixels.
+    image_shape : (int, int)
+        Height and width of the image, pixels.
+
+    Returns
+    -------
+    residuals : (N, 2)
+        Pixels, found less expected.
+    allowed : (N,)
+        Largest length of a residual that a good point may have, pixels.
+    """
+    middle, half_diagonal = half_diagonals(image_shape)
+    found = (pixels - middle) / half_diagonal
+    residuals = half_diagonal * _residuals(plane, found, spacing / half_diagonal)
+    return residuals, np.maximum(MAX_RESIDUAL_SHARE * spacing, MAX_RESIDUAL_SIGMAS * sigma)
+
+
+def half_diagonals(image_shape: tuple[int, ...]) -> tuple[Array, float]:
+    """Middle of an image (2,) and half its diagonal, pixels: origin and unit of the division model."""
     middle = (np.array(image_shape[1::-1]) - 1) / 2
-    half_diagonal = float(np.hypot(*middle)) + 0.5
-    found = (points.reshape(-1, 2) - middle) / half_diagonal
-    residual = half_diagonal * _residuals(board, found, square.ravel() / half_diagonal)
-    allowed = np.maximum(MAX_RESIDUAL_SHARE * square, MAX_RESIDUAL_SIGMAS * corners.sigma)
-    return residual.reshape(rows, columns, 2), allowed
+    return middle, float(np.hypot(*middle)) + 0.5
 
 
 def _residuals(board: Array, found: Array, square: Array) -> Array:
     """Residuals (N, 2) of points found, all in half diagonals; the lambda that leaves least is taken."""
     stretch = np.maximum(1 + DIVISIONS[:, None] * np.sum(found**2, axis=1), MIN_STRETCH)
     straight = found / stretch[..., None]
-    flat = _homographies(board, straight)
+    flat = map_points(homographies_of_plane(board, straight), board)
     terms = _polynomial(flat)
     weights = np.ones(stretch.shape)
     for _ in range(_ROUNDS):
@@ -84,20 +118,28 @@ def _residuals(board: Array, found: Array, square: Array) -> Array:
     return np.asarray(residual[np.argmin(relative.mean(axis=1))])
 
 
-def _homographies(board: Array, images: Array) -> Array:
-    """Where the best homography of each image (L, N, 2) takes the board's points (N, 2): (L, N, 2)."""
-    centred = (board - board.mean(axis=0)) / board.std(axis=0)
+def homographies_of_plane(plane: Array, images: Array) -> Array:
+    """Best homographies (L, 3, 3) from points of a plane (N, 2) to several images of them (L, N, 2)."""
+    middle, extent = plane.mean(axis=0), plane.std(axis=0)
     centre = images.mean(axis=1, keepdims=True)
     scale = images.std(axis=(1, 2), keepdims=True)
     x, y = np.moveaxis((images - centre) / scale, -1, 0)[..., None]
-    X = np.broadcast_to(np.column_stack([centred, np.ones(len(board))]), (*images.shape[:2], 3))
+    X = np.broadcast_to(np.column_stack([(plane - middle) / extent, np.ones(len(plane))]), (*x.shape[:2], 3))
     nothing = np.zeros_like(X)
     in_x, in_y = np.concatenate([X, nothing, -x * X], axis=2), np.concatenate([nothing, X, -y * X], axis=2)
     rows = np.concatenate([in_x, in_y], axis=1)
     _, vectors = np.linalg.eigh(np.swapaxes(rows, 1, 2) @ rows)
     H = vectors[..., 0].reshape(-1, 3, 3)
-    mapped = X @ np.swapaxes(H, 1, 2)
-    return np.asarray(mapped[..., :2] / mapped[..., 2:] * scale + centre)
+    H[:, :2] = scale * H[:, :2] + np.swapaxes(centre, 1, 2) * H[:, 2:]
+    H[..., :2] /= extent
+    H[..., 2] -= H[..., :2] @ middle
+    return H
+
+
+def map_points(H: Array, points: Array) -> Array:
+    """Points (..., N, 2) through homographies (..., 3, 3), which may have more axes before."""
+    mapped = points @ np.swapaxes(H[..., :2], -1, -2) + H[..., None, :, 2]
+    return np.asarray(mapped[..., :2] / mapped[..., 2:])
 
 
 def _polynomial(points: Array) -> Array:

@@ -21,7 +21,7 @@ from .constraints import Priors
 from .departures import Departures
 from .parametrisation import ScaleFree
 from .posterior import posterior
-from .views import View, stack_views
+from .views import View, align_views, stack_views
 
 Array = NDArray[np.float64]
 
@@ -116,17 +116,26 @@ def thin(views: Sequence[View], count: int = CANDIDATES) -> list[int]:
     """Indices of views that differ most from each other in the image, in ascending order.
 
     Starting with the first view, the one whose points lie farthest from those of all chosen so far is added
-    (farthest-point sampling).
+    (farthest-point sampling). Views are held against each other by the points that both show; those that
+    show different parts of the board differ as far as can be.
     """
     if len(views) <= count:
         return list(range(len(views)))
-    corners = np.stack([view.image_points.ravel() for view in views])
+    points = align_views(views)
     chosen = [0]
-    distance = np.linalg.norm(corners - corners[0], axis=1)
+    distance = _distances(points, 0)
     while len(chosen) < count and distance.max() > 0:
         chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(corners - corners[chosen[-1]], axis=1))
+        distance = np.minimum(distance, _distances(points, chosen[-1]))
     return sorted(chosen)
+
+
+def _distances(points: Array, view: int) -> Array:
+    """Root mean square distance (V,) of common points (V, P, 2), pixels; infinite where there are none."""
+    squares = np.sum((points - points[view]) ** 2, axis=2)
+    common = np.isfinite(squares)
+    count, total = common.sum(axis=1), np.where(common, squares, 0).sum(axis=1)
+    return np.asarray(np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.inf)))
 
 
 def _spread(model: ScaleFree, theta: Array) -> Array:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .boards import Chessboard
+from .boards import Board
 from .calibration import Calibration, calibrate
 from .constraints import Priors
 from .detection import Detection, detect_board
@@ -22,13 +22,15 @@ from .errors import BoardNotFound, DegenerateViews, InvalidInput
 from .grey import GreyImage, as_grey
 from .selection import best_subset, information
 from .verdict import Thresholds
-from .views import View
+from .views import View, align_views
 
 MOTION_WINDOW_NS = 500_000_000
 """Frames farther apart than this say nothing about motion: a robot took them one by one."""
 MARGIN_SQUARES = 3.0
 """Squares around the corners in which a board that has hardly moved is found again: its outer squares, which
 may be larger than most by perspective, and some of what surrounds them."""
+MIN_COMMON = 4
+"""Points that two views must both show to tell how far the board has moved: as many as fix its pose."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class FrameFilter:
 
     Parameters
     ----------
-    board : Chessboard
+    board : Board
     criteria : Criteria
 
     Attributes
@@ -88,7 +90,7 @@ class FrameFilter:
         Frames by the reason for which they were not kept.
     """
 
-    def __init__(self, board: Chessboard, criteria: Criteria = Criteria()) -> None:
+    def __init__(self, board: Board, criteria: Criteria = Criteria()) -> None:
         self.board = board
         self.criteria = criteria
         self.read = 0
@@ -119,7 +121,7 @@ class FrameFilter:
         Returns
         -------
         Decision
-            Kept when the frame shows the board whole, sharp and still.
+            Kept when the frame shows the board sharp and still.
 
         Raises
         ------
@@ -145,7 +147,7 @@ class FrameFilter:
             )
         if motion > self.criteria.max_motion_px:
             return self._reject("moving", self._moved(motion), detection)
-        return Decision(True, "kept", "The board is whole, sharp and still.", detection)
+        return Decision(True, "kept", "The board is sharp and still.", detection)
 
     def _moved(self, motion_px: float) -> str:
         if not np.isfinite(motion_px):
@@ -177,7 +179,7 @@ class FrameFilter:
             before = detect_board(grey[low[1] : high[1], low[0] : high[0]], self.board).view
         except BoardNotFound:
             return np.inf
-        return float(np.linalg.norm(points - low - before.image_points, axis=1).max())
+        return shift_px(detection.view, View(before.object_points, before.image_points + low))
 
     def _remember(self, stamp_ns: int | None, frame: View | GreyImage | None) -> None:
         self._before = None if stamp_ns is None else (stamp_ns, frame)
@@ -193,8 +195,14 @@ def size_of(image: NDArray[Any]) -> tuple[int, int]:
 
 
 def shift_px(view: View, other: View) -> float:
-    """Largest distance between where two views of one board show the same corner, pixels."""
-    return float(np.linalg.norm(view.image_points - other.image_points, axis=1).max())
+    """Largest distance between where two views of one board show the same point, pixels.
+
+    Infinite when they have hardly a point in common: then the board must have moved.
+    """
+    points, other_points = align_views([view, other])
+    distance = np.linalg.norm(points - other_points, axis=1)
+    common = np.isfinite(distance)
+    return float(distance[common].max()) if common.sum() >= MIN_COMMON else np.inf
 
 
 class Session:
@@ -209,7 +217,7 @@ class Session:
 
     Parameters
     ----------
-    board : Chessboard
+    board : Board
     views_required : int
         Views to keep, 1 or more.
     method : {"map", "zhu2020", "zhang"}
@@ -221,7 +229,7 @@ class Session:
 
     def __init__(
         self,
-        board: Chessboard,
+        board: Board,
         views_required: int = 2,
         method: str = "map",
         priors: Priors = Priors(),
@@ -263,7 +271,7 @@ class Session:
         return self._take(image, stamp_ns, source, self._consider)
 
     def capture(self, image: NDArray[Any], stamp_ns: int | None = None, source: str = "") -> Decision:
-        """Keep the view of one frame whatever it adds, if it is whole, sharp and still."""
+        """Keep the view of one frame whatever it adds, if it is sharp and still."""
         return self._take(image, stamp_ns, source, self._capture)
 
     def _take(
@@ -304,7 +312,7 @@ class Session:
             When there is no view, or the views determine no camera.
         """
         if not self._kept or self.image_size is None:
-            raise DegenerateViews("No view has been kept yet; show the board whole, sharp and still.")
+            raise DegenerateViews("No view has been kept yet; show the board sharp and still.")
         if self.method == "map" and self._judged is not None:
             return self._judged
         return calibrate(self._kept, self.image_size, self.method, self.priors, self.thresholds)

@@ -85,6 +85,29 @@ class View:
         return len(self.object_points)
 
 
+def align_views(views: Sequence[View]) -> NDArray[np.float64]:
+    """Image points of several views of one board, each point of the board in one column.
+
+    Parameters
+    ----------
+    views : sequence of V View
+        They may show different parts of the board.
+
+    Returns
+    -------
+    (V, P, 2) pixels, NaN for points that a view does not show.
+    """
+    if all(np.array_equal(view.object_points, views[0].object_points) for view in views):
+        return np.stack([view.image_points for view in views])
+    points, column = np.unique(
+        np.concatenate([view.object_points for view in views]), axis=0, return_inverse=True
+    )
+    row = np.repeat(np.arange(len(views)), [len(view) for view in views])
+    aligned = np.full((len(views), len(points), 2), np.nan)
+    aligned[row, column.ravel()] = np.concatenate([view.image_points for view in views])
+    return aligned
+
+
 class ViewStack(NamedTuple):
     """Several views in one set of arrays; shorter views are padded with points of weight 0.
 

@@ -1,4 +1,4 @@
-"""The command `fewcal`: calibrate a camera from a recording or images; look into recordings and play them."""
+"""The command `fewcal`: print boards, calibrate from recordings or images, list recordings and play them."""
 
 from __future__ import annotations
 
@@ -17,18 +17,21 @@ from .threads import SINGLE_THREAD
 
 os.environ.setdefault(*SINGLE_THREAD)
 
-from fewcal.boards import parse_board
+from fewcal.boards import Board, KnownObject, parse_board, pose_ambiguity
 from fewcal.calibration import METHODS
 from fewcal.camera_info import check_camera_name, write_camera_info
 from fewcal.constraints import Priors
 from fewcal.errors import DegenerateViews, FewcalError, InvalidInput
 from fewcal.files import write_atomically
+from fewcal.sheet import PAPERS_MM, lay_out
+from fewcal.sheet_files import DPI, write_sheet
 from fewcal.verdict import Thresholds
 
 from .errors import RosError
 from .frames import FrameReader, open_frames
 from .messages import Frame
 from .offline import Outcome, Settings, calibrate_frames
+from .pixel_frames import PixelFrames
 from .recordings import RecordingInfo, recording_info
 from .report import as_json, as_text
 
@@ -37,6 +40,9 @@ if TYPE_CHECKING:
 
 REDRAW_S = 0.1
 """The progress bar is drawn no more often than this."""
+
+MAX_IMAGE_SIDE = 100_000
+"""Pixels; no camera has as many."""
 
 USABLE, NOT_USABLE, BAD_INPUT, NO_CALIBRATION = 0, 1, 2, 3
 INTERRUPTED, PIPE_CLOSED = 130, 141
@@ -51,7 +57,7 @@ exit codes:
 """
 
 _CALIBRATE = """
-Calibrate a camera from a recording, images, or a folder of images that show a chessboard.
+Calibrate a camera from a recording, images, or a folder of images that show a board.
 
 One view of a board tilted by 30 to 60 degrees is enough for a first answer, two tilted about different axes
 for a good one. The answer comes with error bars; when the views do not determine the camera, it says so.
@@ -60,8 +66,25 @@ examples:
   fewcal calibrate arm.mcap --board chessboard:9x6:0.025
   fewcal calibrate rosbag2_folder --topic /camera/image_raw --board chessboard:9x6:0.025 --out result
   fewcal calibrate photo1.jpg photo2.jpg --board chessboard:9x6:0.025 --json
+  fewcal calibrate coin.jpg --board points:coin.txt        with coin.pixels.txt beside coin.jpg
 
-The size of a board counts interior corners, where four squares meet: a board of 10x7 squares is 9x6.
+boards, lengths in metres:
+  chessboard:9x6:0.025                 interior corners (a board of 10x7 squares is 9x6), edge of a square
+  charuco:7x5:0.04:0.03:DICT_5X5_100   squares, edge of a square and of a marker, dictionary of OpenCV
+  aprilgrid:6x6:0.088:0.3:tag36h11     tags as Kalibr prints them, edge of a tag, gap as a share of it, family
+  circles:10x7:0.02                    circles, from one to the next
+  acircles:4x11:0.02                   circles in a row, rows, half the distance of two in a row
+"""
+
+_BOARD = """
+Write a board as it is to be printed, at true scale, with a ruler to check the printer.
+
+examples:
+  fewcal board chessboard:9x6:0.025 --paper A4 --output board.pdf
+  fewcal board chessboard:11x8:0.08 --paper 1000x800 --output board.svg
+
+Print at 100 %, not fitted to the page, lay the sheet flat on something stiff, and measure it: what the
+calibration is told is what counts, not what was meant to be printed.
 """
 
 _PLAY = """
@@ -139,7 +162,8 @@ def _parser() -> argparse.ArgumentParser:
         "sources",
         nargs="+",
         metavar="SOURCE",
-        help="a .mcap, .db3 or .bag file, a rosbag2 folder, images, or a folder of images",
+        help="a .mcap, .db3 or .bag file, a rosbag2 folder, images, or a folder of images; with points:FILE "
+        "images that have NAME.pixels.txt beside them, or these files",
     )
     command.add_argument(
         "--board", required=True, help="what the views show, such as chessboard:9x6:0.025 (sizes in metres)"
@@ -179,6 +203,13 @@ def _parser() -> argparse.ArgumentParser:
         metavar="SHARE",
         help="relative error of the focal length up to which a camera is usable (default %(default)s)",
     )
+    command.add_argument(
+        "--image-size",
+        nargs=2,
+        type=_pixel_count,
+        metavar=("WIDTH", "HEIGHT"),
+        help="with points:FILE, when a SOURCE is a file of pixels without its image",
+    )
     command.add_argument("--camera-name", default="camera", metavar="NAME", help="name in camera.yaml")
     command.add_argument(
         "--out", type=Path, metavar="DIR", help="folder that receives camera.yaml and calibration.json"
@@ -189,8 +220,32 @@ def _parser() -> argparse.ArgumentParser:
     )
     info.set_defaults(run=_info)
     info.add_argument("recording", metavar="BAG", help="a .mcap, .db3 or .bag file, or a rosbag2 folder")
+    _add_board(commands)
     _add_play(commands)
     return parser
+
+
+def _add_board(commands: argparse._SubParsersAction[_Parser]) -> None:
+    command = commands.add_parser(
+        "board",
+        help="write a board to be printed, as PDF, SVG or PNG",
+        description=_BOARD,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    command.set_defaults(run=_board)
+    command.add_argument("board", metavar="BOARD", help="such as chessboard:9x6:0.025 (sizes in metres)")
+    command.add_argument(
+        "--output", required=True, type=Path, metavar="FILE", help="a file that ends in .pdf, .svg or .png"
+    )
+    command.add_argument(
+        "--paper",
+        default="A4",
+        metavar="SIZE",
+        help=f"{', '.join(PAPERS_MM)}, or width and height in mm, such as 900x600 (default A4)",
+    )
+    command.add_argument(
+        "--dpi", type=float, default=DPI, metavar="N", help="pixels per inch of a PNG (default %(default)s)"
+    )
 
 
 def _add_play(commands: argparse._SubParsersAction[_Parser]) -> None:
@@ -231,6 +286,12 @@ def _rate(text: str) -> float:
     return rate
 
 
+def _pixel_count(text: str) -> int:
+    if not text.isdecimal() or not 2 <= int(text) <= MAX_IMAGE_SIDE:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of pixels; give 2 to {MAX_IMAGE_SIDE}")
+    return int(text)
+
+
 def _view_count(text: str) -> int | None:
     if text == "all":
         return None
@@ -257,7 +318,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     )
     if options.out is not None:
         _make_folder(options.out)
-    with open_frames(options.sources, options.topic) as reader:
+    with _open(options, settings.board) as reader:
         try:
             with _progress(reader) as frames:
                 outcome = calibrate_frames(frames, settings)
@@ -265,6 +326,7 @@ def _calibrate(options: argparse.Namespace) -> int:
             _warn(reader.warnings)
             raise
     _warn(reader.warnings)
+    _warn(filter(None, [pose_ambiguity(settings.board)]))
     outcome = _count_unreadable(outcome, reader)
     report = as_json(outcome)
     if options.out is not None:
@@ -279,7 +341,15 @@ def _calibrate(options: argparse.Namespace) -> int:
     return USABLE if outcome.calibration.verdict.usable else NOT_USABLE
 
 
-def _count_unreadable(outcome: Outcome, reader: FrameReader) -> Outcome:
+def _open(options: argparse.Namespace, board: Board) -> FrameReader | PixelFrames:
+    if isinstance(board, KnownObject):
+        return PixelFrames(options.sources, tuple(options.image_size) if options.image_size else None)
+    if options.image_size:
+        raise InvalidInput("--image-size is for files of pixels, with --board points:FILE; images have one.")
+    return open_frames(options.sources, options.topic)
+
+
+def _count_unreadable(outcome: Outcome, reader: FrameReader | PixelFrames) -> Outcome:
     """Count the frames that could not be decoded among those read."""
     outcome.rejected["unreadable"] += reader.skipped
     return Outcome(outcome.calibration, outcome.read + reader.skipped, outcome.with_board, +outcome.rejected)
@@ -295,7 +365,7 @@ def _make_folder(folder: Path) -> None:
 
 
 @contextmanager
-def _progress(reader: FrameReader) -> Iterator[Iterable[Frame]]:
+def _progress(reader: FrameReader | PixelFrames) -> Iterator[Iterable[Frame]]:
     """Show progress on a terminal; elsewhere nothing."""
     if not sys.stderr.isatty():
         yield reader
@@ -308,7 +378,7 @@ def _progress(reader: FrameReader) -> Iterator[Iterable[Frame]]:
         yield _counted(reader, progress)
 
 
-def _counted(reader: FrameReader, progress: Progress) -> Iterator[Frame]:
+def _counted(reader: FrameReader | PixelFrames, progress: Progress) -> Iterator[Frame]:
     """Pass frames on and move the progress bar."""
     task = progress.add_task("Looking for the board", total=reader.total)
     drawn = float("-inf")
@@ -318,6 +388,13 @@ def _counted(reader: FrameReader, progress: Progress) -> Iterator[Frame]:
             drawn = time.monotonic()
         yield frame
         progress.advance(task)
+
+
+def _board(options: argparse.Namespace) -> int:
+    sheet = lay_out(parse_board(options.board), options.paper)
+    write_sheet(sheet, options.output, options.dpi)
+    _say(f"Written: {options.output}, {sheet.width:g} x {sheet.height:g} mm; print it at 100 %.\n")
+    return USABLE
 
 
 def _info(options: argparse.Namespace) -> int:

@@ -161,7 +161,7 @@ class LiveCalibration:
         self._mailbox.put(message)
 
     def capture(self, timeout_s: float = CAPTURE_TIMEOUT_S) -> Decision:
-        """Keep the view of the first image that arrives from now on, if it is whole, sharp and still.
+        """Keep the view of the first image that arrives from now on, if it is sharp and still.
 
         Raises
         ------

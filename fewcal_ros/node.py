@@ -24,6 +24,7 @@ from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import Trigger
 
+from fewcal.boards import pose_ambiguity
 from fewcal.calibration import Calibration
 from fewcal.camera_info import camera_info_text
 from fewcal.errors import FewcalError, InvalidInput
@@ -110,6 +111,8 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self.get_logger().info(
             f"Waiting for images on {self._images.topic_name} that show {self._settings.board}."
         )
+        if ambiguity := pose_ambiguity(self._settings.target):
+            self.get_logger().warning(ambiguity)
 
     def close(self) -> None:
         """End the worker and whatever waits; call before the node is destroyed."""

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from fewcal.boards import Chessboard
+from fewcal.boards import Board
 from fewcal.calibration import Calibration, calibrate
 from fewcal.constraints import Priors
 from fewcal.errors import DegenerateViews
@@ -24,7 +24,7 @@ class Settings:
 
     Parameters
     ----------
-    board : Chessboard
+    board : Board
     views : int or None
         Views to calibrate from; None takes every good one.
     select : {"best", "first"}
@@ -35,7 +35,7 @@ class Settings:
     thresholds : Thresholds
     """
 
-    board: Chessboard
+    board: Board
     views: int | None = 2
     select: str = "best"
     method: str = "map"
@@ -163,7 +163,7 @@ class _Fates:
     def note(self, reason: str, message: str) -> None:
         self._said.setdefault(reason, Counter())[message] += 1
 
-    def no_view(self, board: Chessboard) -> DegenerateViews:
+    def no_view(self, board: Board) -> DegenerateViews:
         """Say why no frame gave a view: the commonest sentence of the commonest reason with a board."""
         if not self._said:
             return DegenerateViews("There is no frame to look at; give a recording or images with some.")

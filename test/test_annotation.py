@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from board_frames import pair
 from board_pictures import BOARD
+from marker_pictures import CHARUCO, needs_markers, two_parts
 
 from fewcal.session import Session
 from fewcal_ros.annotation import FONT_PX, GREEN, LINES, RED, WHITE, WIDTH_PX, Mood, annotate
@@ -33,6 +34,17 @@ def test_corners_views_and_words_are_drawn(session):
     assert count(with_corners, GREEN) > 50 * len(session.views[1]) > count(bare, GREEN)
     everything = annotate(image, [], Mood.GOOD, session.views[1], True, session.estimate)
     assert count(everything, WHITE) > count(with_corners, WHITE) + 100
+
+
+@needs_markers
+def test_a_part_of_a_board_is_drawn():
+    session = Session(CHARUCO)
+    decisions = [session.add(image) for image in two_parts()]
+    found = decisions[1].detection.view
+    bare = annotate(two_parts()[1], [], Mood.GOOD)
+    picture = annotate(two_parts()[1], [], Mood.GOOD, found, True, session.estimate)
+    assert count(picture, GREEN) > 50 * len(found) > count(bare, GREEN)
+    assert count(picture, WHITE) > count(bare, WHITE) + 100
 
 
 def test_the_first_corner_is_drawn_where_it_is(session):

@@ -20,6 +20,8 @@ import numpy as np
 import pytest
 from board_frames import Image, empty, flat, pair
 from board_pictures import CAMERA
+from circle_pictures import ASYMMETRIC, SYMMETRIC, two_views
+from marker_pictures import CHARUCO, needs_markers, two_parts
 from test_report import check_schema
 from write_recordings import (
     IMAGE,
@@ -33,6 +35,7 @@ from write_recordings import (
 )
 
 import fewcal
+from fewcal.boards import Board
 from fewcal_ros.cli import main
 
 BOARD = "chessboard:9x6:0.025"
@@ -192,6 +195,39 @@ def test_no_calibration_possible(run: Any, empty_image: str, tmp_path: Path, as_
     assert list(tmp_path.iterdir()) == []
 
 
+@needs_markers
+def test_parts_of_a_charuco_board_calibrate_a_camera(run: Any, tmp_path: Path) -> None:
+    images = [save(tmp_path / f"part{i}.png", picture) for i, picture in enumerate(two_parts())]
+    result = run("calibrate", *images, "--board", str(CHARUCO), "--json")
+    assert result.code == 0, result.err
+    camera, std = result.content["camera"], result.content["std"]
+    assert [view["points"] for view in result.content["views"]] == [18, 21]
+    assert abs(camera["fx"] - CAMERA.fx) < min(3 * std["fx"], 0.01 * CAMERA.fx)
+    wrong = run("calibrate", *images, "--board", "charuco:7x5:0.04:0.03:DICT_4X4_50")
+    assert wrong.code == 3
+    assert "The markers are those of DICT_5X5_50, not of DICT_4X4_50" in wrong.err
+
+
+@pytest.mark.parametrize("board", [SYMMETRIC, ASYMMETRIC], ids=str)
+def test_circle_grids_calibrate_a_camera(run: Any, tmp_path: Path, board: Board) -> None:
+    images = [save(tmp_path / f"view{i}.png", picture) for i, picture in enumerate(two_views(board))]
+    result = run("calibrate", *images, "--board", str(board), "--json")
+    assert result.code == 0, result.err
+    camera, std = result.content["camera"], result.content["std"]
+    assert [view["points"] for view in result.content["views"]] == [len(board.points)] * 2
+    assert abs(camera["fx"] - CAMERA.fx) < min(3 * std["fx"], 0.01 * CAMERA.fx)
+    assert result.content["rms_px"] < 0.02
+
+
+def test_a_board_that_looks_the_same_turned_is_warned_of(run: Any, tmp_path: Path) -> None:
+    images = [save(tmp_path / f"view{i}.png", picture) for i, picture in enumerate(two_views(SYMMETRIC))]
+    result = run("calibrate", *images, "--board", str(SYMMETRIC))
+    assert result.code == 0
+    assert_one_sentence(result.err)
+    assert "looks the same turned by 180 degrees" in result.err
+    assert "looks the same" not in result.out
+
+
 def test_the_wrong_board_size_is_named(run: Any, flat_image: str) -> None:
     result = run("calibrate", flat_image, "--board", "chessboard:10x7:0.025")
     assert result.code == 3
@@ -263,6 +299,15 @@ USAGE = {
     },
     "board of two": ["calibrate", "x.png", "--board", "chessboard:2x2:0.1"],
     "board of another kind": ["calibrate", "x.png", "--board", "circles:9x6:0.025"],
+    "print without a file": ["board", BOARD],
+    "print of nothing": ["board", "--output", "/nowhere/board.pdf"],
+    "print of no board": ["board", "9x6", "--output", "/nowhere/board.pdf"],
+    "print on paper that is too small": ["board", BOARD, "--paper", "A5", "--output", "/nowhere/board.pdf"],
+    "print on no paper": ["board", BOARD, "--paper", "B7", "--output", "/nowhere/board.pdf"],
+    "print into no format": ["board", BOARD, "--output", "/nowhere/board.doc"],
+    "print into no folder": ["board", BOARD, "--output", "/nowhere/board.pdf"],
+    "print at no resolution": ["board", BOARD, "--output", "/nowhere/board.png", "--dpi", "0"],
+    "print at text": ["board", BOARD, "--output", "/nowhere/board.png", "--dpi", "fine"],
 }
 
 
@@ -463,6 +508,26 @@ def test_info_of_a_damaged_recording(run: Any, tmp_path: Path) -> None:
     assert result.code == 0
     assert "/camera/image_raw" in result.out
     assert_one_sentence(result.err)
+
+
+@pytest.mark.parametrize("suffix", ["pdf", "svg", "png"])
+def test_a_board_is_written_for_the_printer(run: Any, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"board.{suffix}"
+    result = run("board", BOARD, "--output", path)
+    assert (result.code, result.err) == (0, "")
+    assert result.out == f"Written: {path}, 297 x 210 mm; print it at 100 %.\n"
+    assert path.stat().st_size > 1000
+    larger = run("board", BOARD, "--paper", "A3", "--dpi", "100", "--output", path)
+    assert "297 x 420 mm" in larger.out
+
+
+def test_a_printed_board_calibrates_a_scanner_no_better_than_it_should(run: Any, tmp_path: Path) -> None:
+    """A scan is a view face on: the board is found, and says nothing of the focal length."""
+    path = tmp_path / "board.png"
+    run("board", BOARD, "--dpi", "100", "--output", path)
+    result = run(*calibrate(path), "--json")
+    assert result.code == 1
+    assert result.content["frames"]["with_board"] == 1
 
 
 @pytest.mark.parametrize("installed", [False, True])

@@ -8,15 +8,20 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
+from circle_pictures import ASYMMETRIC, SYMMETRIC, two_views
 from live_cell import BAGS, BOARD, LOSSLESS, TIMEOUT_S, Cell, Process, robot_cell, wait_until
 from machine import crowding
+from marker_pictures import CHARUCO, needs_markers, two_parts
+from numpy.typing import NDArray
 from rclpy.qos import ReliabilityPolicy
 from ros_domain import own_domain
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from write_recordings import IMAGE, Sample, write_rosbag1
 
 from fewcal.boards import parse_board
 from fewcal.camera_info import read_camera_info, write_camera_info
@@ -39,6 +44,18 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
 def offline(recording: str):
     with open_frames([BAGS / recording]) as frames:
         return calibrate_frames(frames, Settings(parse_board(BOARD), select="first")).calibration
+
+
+def recorded(folder: Path, images: Sequence[NDArray[np.uint8]]) -> Path:
+    """Write images a second apart to a recording."""
+    stamps = [1_700_000_000 * 10**9 + i * 10**9 for i in range(len(images))]
+    return write_rosbag1(
+        folder,
+        [
+            Sample("/image", stamp, IMAGE, (*image.shape, "mono8", 0, image.shape[1], image.ravel()), stamp)
+            for stamp, image in zip(stamps, images, strict=True)
+        ],
+    )
 
 
 def assert_ends_well(node: Process, number: int) -> None:
@@ -100,6 +117,38 @@ class TestByItself:
         assert file.read_bytes() == (tmp_path / "offline.yaml").read_bytes()
         assert_ends_well(node, signal.SIGINT)
         assert len(infos) == 1
+
+    @needs_markers
+    def test_parts_of_a_charuco_board_are_enough(self, cell, tmp_path):
+        recording = recorded(tmp_path, two_parts())
+        cell.start_node(*LOSSLESS, queue_size=100, board=str(CHARUCO))
+        infos, pictures = cell.client.camera_info(), cell.client.annotated()
+        camera = cell.start_camera(str(recording))
+        camera.tell(play=[0, 1])
+        cell.client.wait_for(views="2", usable="yes", level="OK", board=str(CHARUCO))
+        info = wait_until(lambda: infos, "camera_info")[0]
+        with open_frames([recording]) as frames:
+            expected = calibrate_frames(frames, Settings(CHARUCO, select="first")).calibration
+        assert [len(view) for view in expected.views] == [18, 21]
+        assert list(info.k) == expected.camera.matrix.ravel().tolist()
+        camera.tell(hold=1)
+        wait_until(lambda: pictures, "an annotated image")
+
+    @pytest.mark.parametrize("board", [SYMMETRIC, ASYMMETRIC], ids=str)
+    def test_circle_grids_give_the_camera_of_the_command(self, cell, board, tmp_path):
+        recording = recorded(tmp_path, two_views(board))
+        node = cell.start_node(*LOSSLESS, queue_size=100, board=str(board))
+        infos = cell.client.camera_info()
+        camera = cell.start_camera(str(recording))
+        camera.tell(play=[0, 1])
+        cell.client.wait_for(views="2", usable="yes", level="OK", board=str(board))
+        info = wait_until(lambda: infos, "camera_info")[0]
+        with open_frames([recording]) as frames:
+            expected = calibrate_frames(frames, Settings(board, select="first")).calibration
+        assert list(info.k) == expected.camera.matrix.ravel().tolist()
+        assert_ends_well(node, signal.SIGINT)
+        warned = "looks the same turned by 180 degrees" in "".join(node.out + node.err)
+        assert warned == (board is SYMMETRIC)
 
     def test_who_comes_late_receives_the_camera(self, cell):
         cell.start_node(*LOSSLESS, queue_size=100)

@@ -10,7 +10,7 @@ from fewcal.boards import Chessboard
 from fewcal.camera import Camera
 from fewcal.corner_refinement import refine_corners
 from fewcal.errors import InvalidInput
-from fewcal.rendering import BLACK, IDEAL, PLAIN_BACKGROUND, WHITE, Conditions, clutter, render
+from fewcal.rendering import BLACK, IDEAL, MARGIN, PLAIN_BACKGROUND, WHITE, Conditions, clutter, render
 from fewcal.virtual_camera import PAPER_CAMERA, board_pose, fill_image, paper_pose
 
 SIZE = (1280, 960)
@@ -36,9 +36,12 @@ def by_brute_force(camera, size, board, T, across):
     rays = camera.unproject(np.stack(np.meshgrid(u, v), axis=-1))
     plane = T[:3, [0, 1, 3]] @ np.diag([board.square_size, board.square_size, 1])
     hit = rays @ np.linalg.inv(plane).T
-    x, y = np.floor(hit[..., 0] / hit[..., 2]), np.floor(hit[..., 1] / hit[..., 2])
+    x, y = hit[..., 0] / hit[..., 2], hit[..., 1] / hit[..., 2]
+    left, top, right, bottom = np.array(board.draw().extent) / board.square_size
+    rim = MARGIN * min(right - left, bottom - top)
     shown = np.full(x.shape, PLAIN_BACKGROUND)
-    shown[(x >= -2) & (x <= board.columns) & (y >= -2) & (y <= board.rows)] = WHITE
+    shown[(x > left - rim) & (x < right + rim) & (y > top - rim) & (y < bottom + rim)] = WHITE
+    x, y = np.floor(x), np.floor(y)
     inside = (x >= -1) & (x < board.columns) & (y >= -1) & (y < board.rows)
     shown[inside & ((x + y) % 2 == 0)] = BLACK
     return level(shown).reshape(size[1], across, size[0], across).mean(axis=(1, 3))

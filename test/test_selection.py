@@ -140,3 +140,14 @@ def test_thinned_views_spread_over_what_was_seen(count: int) -> None:
 
 def test_copies_of_one_view_are_one() -> None:
     assert thin([view(pose(30, 20))] * 9, 4) == [0]
+
+
+def test_views_of_different_parts_are_thinned_by_what_both_show() -> None:
+    def part(of: View, points: slice) -> View:
+        return View(of.object_points[points], of.image_points[points])
+
+    near, far = view(pose(30, 20)), view(pose(30, 20, shift_px=(100, 0)))
+    views = [part(near, slice(0, 30)), part(near, slice(20, 54)), part(far, slice(10, 40)), near]
+    assert thin(views, 2) == [0, 2]
+    apart = [part(near, slice(0, 20)), part(far, slice(10, 40)), part(near, slice(40, 54))]
+    assert thin(apart, 2) == [0, 2]

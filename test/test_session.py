@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from board_frames import PERIOD_NS, Image, empty, flat, pair, shown
 from board_pictures import BOARD, CAMERA
+from marker_pictures import CHARUCO, marker_picture, needs_markers, two_parts
 
 from fewcal.boards import Chessboard
 from fewcal.errors import DegenerateViews, InvalidInput
@@ -265,3 +266,47 @@ def test_a_usable_camera_does_not_wait_for_a_view_that_tells_much_more() -> None
     assert session.complete
     unusable = Session(BOARD, criteria=demanding)
     assert [unusable.add(image).reason for image in (flat(), shown(8.0, 10.0))] == ["kept", "nothing new"]
+
+
+# --- boards of which each frame shows another part ---------------------------------------------------------
+
+
+def part(shift_px: float) -> Image:
+    """The board farther and farther beyond the right border."""
+    return marker_picture(CHARUCO, 70, 30, 40, shift_px=(shift_px, 0.0))[0]
+
+
+@needs_markers
+def test_parts_of_a_board_make_a_camera() -> None:
+    session = Session(CHARUCO)
+    decisions = [session.add(image) for image in (*two_parts(), *two_parts())]
+    assert [decision.reason for decision in decisions] == ["kept", "kept", "nothing new", "nothing new"]
+    assert [len(view) for view in session.views] == [18, 21]
+    assert session.complete
+    calibration = session.calibrate()
+    assert calibration.std is not None
+    assert abs(calibration.camera.fx - CAMERA.fx) < min(3 * calibration.std["fx"], 0.01 * CAMERA.fx)
+
+
+@needs_markers
+def test_stillness_is_that_of_the_points_which_both_frames_show() -> None:
+    frames = [part(shift) for shift in (196.0, 197.5, 206.0, 206.0)]
+    look = FrameFilter(CHARUCO)
+    decisions = [look.look(image, i * PERIOD_NS) for i, image in enumerate(frames)]
+    counts = [len(decision.detection.view) for decision in decisions if decision.detection is not None]
+    assert len(counts) == 4
+    assert len(set(counts)) > 1
+    assert [decision.reason for decision in decisions] == ["kept", "kept", "moving", "kept"]
+    assert "moved 9." in decisions[2].message
+    look.pass_by(frames[0], 5 * PERIOD_NS)
+    assert look.look(frames[1], 6 * PERIOD_NS).kept
+    look.pass_by(frames[0], 7 * PERIOD_NS)
+    assert "moved 10." in look.look(frames[2], 8 * PERIOD_NS).message
+
+
+@needs_markers
+def test_a_board_of_which_quite_another_part_is_seen_has_moved() -> None:
+    look = FrameFilter(CHARUCO)
+    frames = [marker_picture(CHARUCO, 130, 20, 40, shift_px=(x, 0.0))[0] for x in (420.0, -420.0)]
+    decisions = [look.look(image, i * PERIOD_NS) for i, image in enumerate(frames)]
+    assert [decision.reason for decision in decisions] == ["kept", "moving"]

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from fewcal.boards import Chessboard
 from fewcal.errors import InvalidInput
-from fewcal.views import View
+from fewcal.views import View, align_views
 
 OBJECT = Chessboard(4, 3, 0.03).points
 IMAGE = OBJECT[:, :2] * 1000 + 50
@@ -32,6 +32,18 @@ def test_sigma_is_optional_and_may_differ_by_point() -> None:
     sigma = View(OBJECT, IMAGE, np.linspace(0.1, 1, 12)).sigma
     assert sigma is not None
     np.testing.assert_array_equal(sigma, np.linspace(0.1, 1, 12))
+
+
+def test_views_of_different_parts_are_aligned_by_the_points_of_the_board() -> None:
+    whole, left, right = View(OBJECT, IMAGE), View(OBJECT[:5], IMAGE[:5] + 1), View(OBJECT[3:], IMAGE[3:] + 2)
+    np.testing.assert_array_equal(align_views([whole, whole]), [IMAGE, IMAGE])
+    aligned = align_views([right, whole, left])
+    assert aligned.shape == (3, 12, 2)
+    seen = np.isfinite(aligned).all(axis=2)
+    assert seen.sum(axis=1).tolist() == [9, 12, 5]
+    np.testing.assert_array_equal((aligned - aligned[1])[0][seen[0]], np.full((9, 2), 2.0))
+    np.testing.assert_array_equal((aligned - aligned[1])[2][seen[2]], np.full((5, 2), 1.0))
+    assert (seen[0] & seen[2]).sum() == 2
 
 
 def test_points_without_z_lie_in_the_plane_z_0() -> None:

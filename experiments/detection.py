@@ -1,0 +1,281 @@
+"""How well corners are located, beside OpenCV, on rendered images whose truth is known; a markdown table.
+
+    python experiments/detection.py [--small] [--trials 12]
+
+A 9x6 chessboard, turned and placed at random, under one condition after the other; all else is that of a
+decent camera: tilt up to 40 deg, squares of 30 px, blur 0.7 px, noise 2 grey levels. Every detector sees the
+same images:
+
+fewcal
+    fewcal.detect, the order of the corners being part of the answer.
+SB
+    findChessboardCornersSB with CALIB_CB_ACCURACY and CALIB_CB_EXHAUSTIVE, the most exact OpenCV has.
+sub-pixel
+    findChessboardCorners, then cornerSubPix with an 11x11 window (half width 5), or half a square where that
+    is less.
+
+rms is the error of a corner over both coordinates, median over the images in which the detector found the
+board; ratio is fewcal's over that of the better of OpenCV's, median over the images; found counts boards. z
+is the rms of fewcal's error over the sigma it reports (1 is right). Bias is the mean error of fewcal towards
+the light, and away from the middle of the image, thousandths of a pixel, with its standard error.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fewcal import BoardNotFound, Camera, Chessboard, detect
+from fewcal.rendering import Conditions, render
+from fewcal.virtual_camera import board_pose
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+BOARD = Chessboard(9, 6, 0.025)
+BORDER_PX = 6.0
+"""The whole board, to its outermost squares, is at least so far inside the image."""
+OVERSAMPLING = 3
+"""Blur below a pixel is rendered on a grid so fine; on that of the pixels it would move corners itself."""
+FOUND_PX = 2.0
+"""A detector whose rms error is larger has found something else."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A condition: what differs from a decent image of a board.
+
+    Parameters
+    ----------
+    name : str
+    tilt_deg : (float, float)
+        Drawn between these.
+    square_px : float
+        Square at the middle of the board, seen face on.
+    barrel : float
+        Share by which the lens draws the corner of the image inwards.
+    light : Conditions
+        Blur, noise, light.
+    """
+
+    name: str
+    tilt_deg: tuple[float, float] = (0.0, 40.0)
+    square_px: float = 30.0
+    barrel: float = 0.0
+    light: Conditions = field(
+        default=Conditions(blur_px=0.7, read_noise=2.0, full_well=np.inf, light_slope=0.2, vignetting=0.1)
+    )
+
+    def under(self, **light: float) -> Case:
+        """Give the same case in another light."""
+        return replace(self, light=replace(self.light, **light))
+
+
+USUAL = Case("usual")
+CASES = (
+    USUAL,
+    *(replace(USUAL, name=f"tilt {tilt} deg", tilt_deg=(tilt, tilt)) for tilt in (0, 20, 40, 60, 70)),
+    *(replace(USUAL, name=f"blur {blur} px").under(blur_px=blur) for blur in (0.5, 1.0, 1.5, 2.0)),
+    *(replace(USUAL, name=f"noise {noise} levels").under(read_noise=noise) for noise in (1, 4, 8)),
+    *(replace(USUAL, name=f"squares {px} px", square_px=px) for px in (8, 12, 20, 60, 120)),
+    *(
+        replace(USUAL, name=f"barrel {share:.0%}", barrel=share, square_px=40.0, tilt_deg=(0.0, 20.0))
+        for share in (0.1, 0.2, 0.3)
+    ),
+    replace(USUAL, name="light from a side").under(light_slope=0.9),
+    replace(USUAL, name="light from a side, blur 2 px").under(light_slope=0.9, blur_px=2.0),
+    replace(USUAL, name="overexposed 1.3 times").under(exposure=1.5),
+    replace(USUAL, name="overexposed 2 times").under(exposure=2.33),
+    replace(USUAL, name="overexposed 2 times, blur 2 px").under(exposure=2.33, blur_px=2.0),
+    replace(USUAL, name="overexposed, blur, light from a side").under(
+        exposure=2.33, blur_px=2.0, light_slope=0.9
+    ),
+)
+SMALL = tuple(case for case in CASES if case.name in ("usual", "blur 2.0 px", "squares 8 px"))
+
+
+class Shot(NamedTuple):
+    """An image, where its corners are (54, 2), and directions (54, 2): outwards, and towards the light."""
+
+    image: Image
+    truth: Array
+    outwards: Array
+    to_light: Array
+
+
+class Found(NamedTuple):
+    """Corners in the order of the board, and what the detector says of their error, if anything."""
+
+    points: Array
+    sigma: Array | None = None
+
+
+def take(case: Case, rng: np.random.Generator) -> Shot:
+    """Render the board in a random pose."""
+    width = max(640, 16 * round(case.square_px))
+    size = (width, round(0.75 * width))
+    camera = barrel_camera(size, case.barrel)
+    centre = BOARD.points.mean(axis=0)[:2]
+    left, top, right, bottom = BOARD.draw().ink
+    outline = np.array([[left, top, 0], [right, top, 0], [right, bottom, 0], [left, bottom, 0]])
+    distance = camera.fx * BOARD.square_size / case.square_px
+    while True:
+        about, roll = rng.uniform(0, 360), rng.uniform(-25, 25)
+        T = board_pose(rng.uniform(*case.tilt_deg), about, roll, distance, centre)
+        T[:2, 3] += rng.uniform(-0.15, 0.15, 2) * distance
+        seen = camera.project(outline, T)
+        if (seen > BORDER_PX).all() and (seen < np.array(size) - BORDER_PX).all():
+            break
+    light_deg = rng.uniform(0, 360)
+    light = replace(case.light, light_deg=light_deg)
+    image = render(camera, size, BOARD, T, light, rng=rng, oversampling=OVERSAMPLING)
+    truth = camera.project(BOARD.points, T)
+    outwards = truth - camera.intrinsics[2:]
+    direction = np.array([np.cos(np.radians(light_deg)), np.sin(np.radians(light_deg))])
+    return Shot(
+        image,
+        truth,
+        outwards / np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1e-9),
+        np.broadcast_to(direction, truth.shape),
+    )
+
+
+def barrel_camera(size: tuple[int, int], barrel: float) -> Camera:
+    """Camera whose lens draws the corner of the image inwards by a share of its distance."""
+    focal = 1.1 * size[0]
+    corner = np.hypot(*size) / 2 / focal / (1 - barrel)  # where it would be without distortion
+    return Camera(focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2, [-barrel / corner**2, 0, 0, 0, 0])
+
+
+def ours(image: Image) -> Found | None:
+    """Corners that fewcal finds."""
+    try:
+        view = detect(image, BOARD)
+    except BoardNotFound:
+        return None
+    return Found(view.image_points, view.sigma)
+
+
+def sector_based(image: Image) -> Found | None:
+    """Corners that findChessboardCornersSB finds."""
+    flags = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE
+    found, corners = cv2.findChessboardCornersSB(image, (BOARD.columns, BOARD.rows), flags=flags)
+    return Found(corners.reshape(-1, 2)) if found else None
+
+
+def sub_pixel(image: Image) -> Found | None:
+    """Corners of findChessboardCorners, located by cornerSubPix."""
+    found, corners = cv2.findChessboardCorners(image, (BOARD.columns, BOARD.rows))
+    if not found:
+        return None
+    grid = corners.reshape(BOARD.rows, BOARD.columns, 2)
+    square = min(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1))
+    half = int(np.clip(square / 2, 1, 5))
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+    return Found(cv2.cornerSubPix(image, corners, (half, half), (-1, -1), stop).reshape(-1, 2))
+
+
+DETECTORS: dict[str, Callable[[Image], Found | None]] = {
+    "fewcal": ours,
+    "SB": sector_based,
+    "sub-pixel": sub_pixel,
+}
+
+
+def errors(found: Found | None, shot: Shot, any_order: bool) -> Array | None:
+    """Error of each corner (54, 2), pixels; None when the board was not found."""
+    if found is None:
+        return None
+    orders = [found.points]
+    if any_order:  # OpenCV may begin at either end
+        orders.append(found.points[::-1])
+    each = [points - shot.truth for points in orders]
+    best = min(each, key=lambda error: float(np.mean(error**2)))
+    return best if rms(best) < FOUND_PX else None
+
+
+def rms(error: Array) -> float:
+    """Root mean square of all coordinates."""
+    return float(np.sqrt(np.mean(error**2)))
+
+
+class Tally:
+    """What came out of the images of one case."""
+
+    def __init__(self) -> None:
+        self.rms: list[dict[str, float]] = []
+        self.found = dict.fromkeys(DETECTORS, 0)
+        self.scaled: list[Array] = []
+        self.lightwards: list[float] = []
+        self.outwards: list[float] = []
+
+    def add(self, shot: Shot) -> None:
+        """Let every detector look at an image."""
+        of_image = {}
+        for name, detector in DETECTORS.items():
+            found = detector(shot.image)
+            error = errors(found, shot, any_order=name != "fewcal")
+            if found is None or error is None:
+                continue
+            self.found[name] += 1
+            of_image[name] = rms(error)
+            if found.sigma is not None:
+                self.scaled.append(error / found.sigma[:, None])
+                self.lightwards.append(float(np.mean(np.sum(error * shot.to_light, axis=1))))
+                self.outwards.append(float(np.mean(np.sum(error * shot.outwards, axis=1))))
+        self.rms.append(of_image)
+
+    def row(self, name: str, trials: int) -> str:
+        """One line of the table."""
+        median = {
+            detector: float(np.median([r[detector] for r in self.rms if detector in r] or [np.nan]))
+            for detector in DETECTORS
+        }
+        # Where only one of them finds the board there is nothing to compare.
+        both = [r for r in self.rms if "fewcal" in r and len(r) > 1]
+        ratios = [r["fewcal"] / min(r[d] for d in r if d != "fewcal") for r in both]
+        cells = [name]
+        cells += [f"{median[detector]:.4f}" for detector in DETECTORS]
+        cells.append(f"{np.median(ratios) if ratios else np.nan:.2f}")
+        cells.append(f"{rms(np.concatenate(self.scaled)) if self.scaled else np.nan:.2f}")
+        cells += [_mean_and_error(values) for values in (self.lightwards, self.outwards)]
+        cells.append("/".join(str(self.found[detector]) for detector in DETECTORS) + f" of {trials}")
+        return f"| {' | '.join(cells)} |"
+
+
+def _mean_and_error(values: list[float]) -> str:
+    if len(values) < 2:
+        return "nan"
+    return f"{1e3 * np.mean(values):+.1f} +- {1e3 * np.std(values, ddof=1) / np.sqrt(len(values)):.1f}"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--trials", type=int, default=12, help="images of each condition")
+    parser.add_argument("--small", action="store_true", help="three conditions, to see that it runs")
+    parser.add_argument("--only", default="", help="conditions whose name holds this")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    print("| condition | fewcal rms px | SB | sub-pixel | ratio | z | bias to light | outwards | found |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for number, case in enumerate(CASES):
+        if (options.small and case not in SMALL) or options.only not in case.name:
+            continue
+        rng = np.random.default_rng(number)
+        tally = Tally()
+        for _ in range(options.trials):
+            tally.add(take(case, rng))
+        print(tally.row(case.name, options.trials), flush=True)
+
+
+if __name__ == "__main__":
+    main()

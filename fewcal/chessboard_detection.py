@@ -1,0 +1,188 @@
+"""Find a chessboard in an image, and say why when there is none to use.
+
+    image -> reduced copies, coarse to fine -> saddle points -> grid -> corners at full resolution -> View
+
+The coarse copies make it fast, above all where there is no board. A board that shows at none of them is
+looked for at full size only when a finer copy shows the beginnings of one.
+
+The order of the corners is that of ``Chessboard.points``, and it is always the same for the same view:
+
+- x cross y points away from the camera: the board is never mirrored. (A board seen in a mirror is a valid
+  view all the same: a chessboard is its own mirror image.)
+- Of the turns that remain, the first corner is one whose outer square, the corner square of the board, is
+  black. When columns and rows differ by an odd number (9x6) this settles it.
+- Where it does not, the board looks the same when turned, and the first corner is the one nearest to the
+  top left corner of the image, measured as u + v.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .corner_refinement import RefinedCorners, refine_corners
+from .detection import MIN_BORDER_PX, Detection, blurred, edge_width, is_blurred, outside
+from .errors import BoardNotFound
+from .grey import GreyImage
+from .grid import fill_gaps, find_grids, local_axes, predict, square_size
+from .planarity import planar_residuals
+from .reduction import SEARCHED_PX, reduce, reductions
+from .saddle_points import find_saddle_points, sample
+from .views import View
+
+if TYPE_CHECKING:
+    from .chessboard import Chessboard
+
+Array = NDArray[np.float64]
+
+SMALL_SQUARE_PX = 8.0
+"""Squares smaller than this in one copy are shown better by the next; larger ones gain nothing."""
+MIN_GOOD_SHARE = 0.75
+"""Share of the corners that must be corners before a grid of another size is called a board."""
+MIN_CLAIMED = 12
+"""Corners that a grid of another size must have before it is called a board: code and texture often line up
+three by three."""
+LOOKED_AT = 8
+"""Rows and columns of it that are tested: enough to tell, and quick on a large board."""
+_ATTEMPTS = 3
+"""Rounds of looking again for corners that were wrong; glare often moves one by a part of a square."""
+
+
+def detect_chessboard(
+    grey: GreyImage, board: Chessboard, source: str = "", stamp_ns: int | None = None
+) -> Detection:
+    """Find a whole chessboard, see :meth:`fewcal.boards.Board.detect`."""
+    corners = _find_corners(grey, board)
+    points, sigma = _in_order(grey, corners, board)
+    view = View(board.points, points, sigma, source, stamp_ns)
+    return Detection(view, edge_width(corners.blur), square_size(corners.points))
+
+
+def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
+    """Locate the first grid of the board's size that stands all tests, coarse to fine."""
+    largest = np.empty((0, 0, 2))
+    failure: BoardNotFound | None = None
+    for factor in reductions(grey):
+        if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(largest / factor):
+            break
+        reduced = reduce(grey, factor)
+        for found in find_grids(reduced, find_saddle_points(reduced)):
+            grid = (found + 0.5) * factor - 0.5
+            if sorted(grid.shape[:2]) == sorted((board.columns, board.rows)):
+                try:
+                    return _locate(grey, grid)
+                except BoardNotFound as error:
+                    failure = failure or error
+            elif grid.size > largest.size:
+                largest = grid
+    raise failure or _not_found(grey, largest, board)
+
+
+def _shows_small_squares(grid: Array) -> bool:
+    """Whether a grid was found whose squares are so small that a finer copy may show more of it."""
+    return min(grid.shape[:2]) >= 3 and square_size(grid) < SMALL_SQUARE_PX
+
+
+def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound:
+    """Say why the largest grid of the image is not the board."""
+    rows, columns = sorted(grid.shape[:2])
+    asked_rows, asked_columns = sorted((board.rows, board.columns))
+    part = grid[:LOOKED_AT, :LOOKED_AT]
+    corners = refine_corners(grey, fill_gaps(part)) if rows >= 3 and rows * columns >= MIN_CLAIMED else None
+    if corners is None or _passing(grey, corners) < MIN_GOOD_SHARE:
+        return BoardNotFound(
+            "no board", "No chessboard is to be seen; show it whole, well lit, with a white margin."
+        )
+    if _is_blurred(corners):
+        return _blurred(corners)
+    if board.columns < board.rows:
+        rows, columns, asked_rows, asked_columns = columns, rows, asked_columns, asked_rows
+    found, asked = f"{columns}x{rows}", f"{asked_columns}x{asked_rows}"
+    if rows <= asked_rows and columns <= asked_columns and _at_border(grey, grid):
+        return BoardNotFound(
+            "cut off",
+            f"Only {found} of the {asked} interior corners are in the image; bring the whole board into it.",
+        )
+    hint = "give the size of the board that is shown"
+    if (columns, rows) == (asked_columns - 1, asked_rows - 1):
+        hint = f"a board of {asked} squares has {found} interior corners"
+    return BoardNotFound(
+        "wrong size", f"Found {found} interior corners where {asked} were asked for; {hint}."
+    )
+
+
+def _passing(grey: GreyImage, corners: RefinedCorners) -> float:
+    """Share of the corners that stand the tests of a board, which texture and code do not."""
+    residuals, allowed = planar_residuals(corners, grey.shape)
+    return float(np.mean(corners.good & (np.linalg.norm(residuals, axis=2) < allowed)))
+
+
+def _is_blurred(corners: RefinedCorners) -> bool:
+    return is_blurred(edge_width(corners.blur), square_size(corners.points))
+
+
+def _blurred(corners: RefinedCorners) -> BoardNotFound:
+    return blurred(edge_width(corners.blur), square_size(corners.points))
+
+
+def _at_border(grey: GreyImage, grid: Array) -> bool:
+    """Whether the next row or column beyond a grid would touch the border of the image."""
+    wide = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    beyond, _ = predict(wide)
+    return outside(grey.shape, beyond, 0)
+
+
+def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
+    """Corners at full resolution; those that fail are looked for again where the others put them."""
+    grid = fill_gaps(grid)
+    for _ in range(_ATTEMPTS):
+        corners = refine_corners(grey, grid)
+        residuals, allowed = planar_residuals(corners, grey.shape)
+        misplaced = np.linalg.norm(residuals, axis=2) > allowed
+        bad = misplaced | ~corners.good
+        if not bad.any():
+            break
+        grid = np.where(bad[..., None], corners.points - residuals, corners.points)
+    if _is_blurred(corners):
+        raise _blurred(corners)
+    if outside(grey.shape, corners.points, MIN_BORDER_PX):
+        raise BoardNotFound(
+            "cut off", "Part of the board is beyond the border of the image; bring the whole board into it."
+        )
+    if not corners.good.all():
+        raise BoardNotFound(
+            "cut off",
+            f"{int((~corners.good).sum())} of the {bad.size} corners cannot be seen; uncover the whole board "
+            "and keep reflections off it.",
+        )
+    if misplaced.any():
+        raise BoardNotFound(
+            "not planar",
+            f"{int(misplaced.sum())} of the {bad.size} corners are not where a flat board would show them; "
+            "hold the board flat and free of reflections.",
+        )
+    return corners
+
+
+def _in_order(grey: GreyImage, corners: RefinedCorners, board: Chessboard) -> tuple[Array, Array]:
+    """Corners (N, 2) and sigma (N,) in the order of ``board.points``; see the module for the convention."""
+    grid = np.concatenate([corners.points, corners.sigma[..., None]], axis=2)
+    across, down = (np.mean(a, axis=(0, 1)) for a in local_axes(corners.points))
+    if across[0] * down[1] - across[1] * down[0] < 0:
+        grid = grid[:, ::-1]
+    size = (board.rows, board.columns)
+    turns = [turn for turn in (np.rot90(grid, k) for k in range(4)) if turn.shape[:2] == size]
+    black = [_first_is_black(grey, turn[..., :2]) for turn in turns]
+    first = min(range(len(turns)), key=lambda k: (not black[k], turns[k][0, 0, :2].sum()))
+    ordered = np.ascontiguousarray(turns[first]).reshape(-1, 3)
+    return ordered[:, :2], ordered[:, 2]
+
+
+def _first_is_black(grey: GreyImage, grid: Array) -> bool:
+    """Whether the square beyond the first corner is black: it is like every second one on the diagonal."""
+    centres = (grid[:-1, :-1] + grid[1:, 1:] + grid[:-1, 1:] + grid[1:, :-1]) / 4
+    brightness = sample(grey, centres)
+    like_first = np.indices(brightness.shape).sum(axis=0) % 2 == 0
+    return bool(brightness[like_first].mean() < brightness[~like_first].mean())

@@ -1,0 +1,246 @@
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from board_pictures import BOARD, CAMERA, SIZE
+from board_pictures import picture as chessboard_picture
+from board_pictures import pose as chessboard_pose
+from circle_pictures import ASYMMETRIC, BARREL, SYMMETRIC, picture, pose
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fewcal.boards import AsymmetricCircleGrid, CircleGrid
+from fewcal.detection import detect, detect_board
+from fewcal.errors import BoardNotFound
+from fewcal.rendering import clutter, render
+
+KINDS = pytest.mark.parametrize("board", [SYMMETRIC, ASYMMETRIC], ids=str)
+
+
+def rms(found: Any, true: Any) -> float:
+    return float(np.sqrt(np.mean((np.asarray(found) - true) ** 2)))
+
+
+def either_way(found: Any, true: Any) -> Any:
+    """The truth in the order found, for boards that look the same turned by half."""
+    return min(true, true[::-1], key=lambda order: rms(found, order))
+
+
+def refusal(image: Any, board: CircleGrid | AsymmetricCircleGrid = SYMMETRIC) -> BoardNotFound:
+    with pytest.raises(BoardNotFound) as caught:
+        detect(image, board)
+    assert caught.value.reason in BoardNotFound.REASONS
+    assert str(caught.value).endswith(".")
+    return caught.value
+
+
+@settings(max_examples=20)
+@given(
+    tilt=st.floats(0, 50),
+    about=st.floats(0, 360),
+    roll=st.floats(-180, 180),
+    span=st.floats(0.25, 0.55),
+    asymmetric=st.booleans(),
+    radius_share=st.floats(0.22, 0.38),
+)
+def test_circles_are_found_in_the_order_of_the_board_however_it_is_turned(
+    tilt: float, about: float, roll: float, span: float, asymmetric: bool, radius_share: float
+) -> None:
+    board = ASYMMETRIC if asymmetric else SYMMETRIC
+    image, true = picture(pose(board, tilt, about, roll, span), board, radius_share)
+    view = detect(image, board, source="camera", stamp_ns=7)
+    if not asymmetric and true[-1].sum() < true[0].sum():
+        true = true[::-1]  # it looks the same, and the first circle is the one nearest to the top left
+    assert rms(view.image_points, true) < 0.05
+    np.testing.assert_array_equal(view.object_points, board.points)
+    assert (view.source, view.stamp_ns) == ("camera", 7)
+
+
+@pytest.mark.parametrize("roll", [10, 100, 190, 280])
+@pytest.mark.parametrize(
+    ("board", "turns"),
+    [
+        (CircleGrid(5, 5, 0.03), 4),
+        (CircleGrid(3, 7, 0.03), 2),
+        (AsymmetricCircleGrid(3, 4, 0.03), 2),
+        (AsymmetricCircleGrid(3, 6, 0.03), 2),
+        (AsymmetricCircleGrid(4, 5, 0.03), 1),
+    ],
+    ids=str,
+)
+def test_every_kind_of_symmetry_has_one_order(
+    board: CircleGrid | AsymmetricCircleGrid, turns: int, roll: float
+) -> None:
+    assert board.turns == turns
+    image, true = picture(pose(board, 20, 30, roll), board)
+    found = detect(image, board).image_points
+    dense = np.full((*board.pattern.shape, 2), np.nan)
+    dense[board.pattern] = true
+    orders = [np.rot90(dense, k)[board.pattern] for k in range(0, 4, 4 // turns)]
+    assert np.isfinite(orders).all()
+    assert rms(found, min(orders, key=lambda order: order[0].sum())) < 0.05
+
+
+@KINDS
+@pytest.mark.parametrize("camera", [CAMERA, BARREL], ids=["pinhole", "barrel"])
+@pytest.mark.parametrize("radius_share", [0.25, 0.4])
+@pytest.mark.parametrize("tilt", [0, 30, 60])
+def test_neither_perspective_nor_the_lens_biases_the_centres(
+    board: CircleGrid | AsymmetricCircleGrid, camera: Any, radius_share: float, tilt: float
+) -> None:
+    along = []
+    for about in (30, 210):
+        T = pose(board, tilt, about, span=0.4, camera=camera)
+        image, true = picture(T, board, radius_share, camera)
+        found = detect(image, board).image_points
+        error = found - either_way(found, true)
+        assert np.abs(error).max() < 0.15
+        assert np.sqrt(np.mean(error**2)) < 0.025
+        away = np.radians(about + 90)  # perspective shifts the ellipses along the tilt
+        along.append(error @ [np.cos(away), np.sin(away)])
+    assert abs(np.mean(along)) < 0.006
+
+
+@KINDS
+def test_centres_are_better_than_those_of_opencv(board: CircleGrid | AsymmetricCircleGrid) -> None:
+    flag = cv2.CALIB_CB_SYMMETRIC_GRID if board is SYMMETRIC else cv2.CALIB_CB_ASYMMETRIC_GRID
+    image, true = picture(pose(board, 25), board, read_noise=2.0)
+    ok, theirs = cv2.findCirclesGrid(image, (board.columns, board.rows), flags=flag)
+    assert ok
+    theirs, ours = theirs.reshape(-1, 2), detect(image, board).image_points
+    assert rms(ours, either_way(ours, true)) < 0.4 * rms(theirs, either_way(theirs, true))
+
+
+@KINDS
+@pytest.mark.parametrize(("noise", "blur"), [(2.0, 0.7), (6.0, 1.0), (4.0, 2.0)])
+def test_sigma_is_the_size_of_the_error(
+    board: CircleGrid | AsymmetricCircleGrid, noise: float, blur: float
+) -> None:
+    z = []
+    for seed in range(3):
+        image, true = picture(pose(board, 25, 70 * seed), board, seed=seed, read_noise=noise, blur_px=blur)
+        view = detect(image, board)
+        assert view.sigma is not None
+        z.append((view.image_points - either_way(view.image_points, true)) / view.sigma[:, None])
+    assert 0.75 < np.sqrt(np.mean(np.square(z))) < 1.3
+
+
+def test_edge_width_and_spacing_are_measured() -> None:
+    detection = detect_board(picture(pose(SYMMETRIC, 0), blur_px=1.5)[0], SYMMETRIC)
+    assert detection.edge_width_px == pytest.approx(2.563 * np.hypot(1.5, 12**-0.5), rel=0.06)
+    spacing = 0.5 * np.hypot(*SIZE) / np.hypot(9, 6)
+    assert detection.square_px == pytest.approx(spacing, rel=0.05)
+
+
+@pytest.mark.parametrize("kind", ["bgr", "uint16", "12 bit"])
+def test_any_grey_or_colour_image_serves(kind: str) -> None:
+    image, true = picture(pose(SYMMETRIC, 20))
+    deep = image.astype(np.uint16)
+    given_image = {"bgr": np.dstack([image] * 3), "uint16": deep * 257, "12 bit": deep * 16}[kind]
+    found = detect(given_image, SYMMETRIC).image_points
+    assert rms(found, either_way(found, true)) < 0.03
+
+
+@KINDS
+def test_clutter_and_marks_beside_the_board_are_no_part_of_it(
+    board: CircleGrid | AsymmetricCircleGrid,
+) -> None:
+    background = clutter(SIZE, np.random.default_rng(4))
+    image, true = picture(pose(board, 30), board, background=background)
+    cv2.circle(image, np.rint(2 * true[0] - true[1]).astype(int).tolist(), 6, 20, -1)
+    found = detect(image, board).image_points
+    assert rms(found, either_way(found, true)) < 0.05
+
+
+@KINDS
+def test_a_board_of_another_size_is_told(board: CircleGrid | AsymmetricCircleGrid) -> None:
+    image, _ = picture(pose(board, 20), board)
+    error = refusal(image, type(board)(board.columns - 1, board.rows - 2, 0.02))
+    assert error.reason == "wrong size"
+    assert f"Found a grid of {len(board.points)} circles" in str(error)
+
+
+def test_an_asymmetric_grid_in_a_mirror_is_refused_where_it_shows() -> None:
+    board = AsymmetricCircleGrid(3, 8, 0.02)
+    image, _ = picture(pose(board, 20), board)
+    assert len(detect(image, board)) == 24
+    assert refusal(image[:, ::-1], board).reason == "wrong size"
+
+
+@pytest.mark.parametrize("shift", [(230.0, 0.0), (300.0, 0.0), (0.0, 190.0)])
+def test_a_board_beyond_the_border_is_cut_off(shift: tuple[float, float]) -> None:
+    image, _ = picture(pose(SYMMETRIC, 20, shift_px=shift))
+    assert refusal(image).reason == "cut off"
+
+
+@KINDS
+@pytest.mark.parametrize("which", [0, 4, 22])
+def test_covered_circles_are_not_invented(board: CircleGrid | AsymmetricCircleGrid, which: int) -> None:
+    image, true = picture(pose(board, 20), board)
+    error = refusal(cv2.circle(image, np.rint(true[which]).astype(int).tolist(), 15, 255, -1), board)
+    assert error.reason in ("cut off", "wrong size")
+
+
+@pytest.mark.parametrize("conditions", [{"blur_px": 9.0}, {"motion_px": 22.0}], ids=str)
+def test_a_blurred_board_is_refused(conditions: dict[str, float]) -> None:
+    image, _ = picture(pose(SYMMETRIC, 20), **conditions)
+    assert refusal(image).reason in ("blurred", "no board")
+
+
+def test_circles_of_no_plane_are_refused() -> None:
+    image, true = picture(pose(SYMMETRIC, 10))
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(np.float32)
+    bump = 6 * np.exp(-((x - true[33, 0]) ** 2 + (y - true[33, 1]) ** 2) / 2 / 18**2)
+    error = refusal(cv2.remap(image, (x - bump).astype(np.float32), y, cv2.INTER_CUBIC))
+    assert error.reason == "not planar"
+
+
+def nothing(name: str) -> Any:
+    rng = np.random.default_rng(3)
+    return {
+        "black": np.zeros((480, 640), np.uint8),
+        "saturated": np.full((480, 640, 3), 255, np.uint8),
+        "noise": rng.integers(0, 256, (480, 640)).astype(np.uint8),
+        "deep noise": rng.integers(0, 65536, (480, 640)).astype(np.uint16),
+        "one pixel": np.zeros((1, 1), np.uint8),
+        "two rows": rng.integers(0, 256, (2, 900)).astype(np.uint8),
+        "flat": rng.integers(0, 256, (20, 20000)).astype(np.uint8),
+        "narrow": rng.integers(0, 256, (20000, 20, 3)).astype(np.uint8),
+        "stripes": ((np.indices((480, 640))[0] // 8 % 2) * 255).astype(np.uint8),
+        "pixel checks": ((np.indices((480, 640)).sum(axis=0) % 2) * 255).astype(np.uint8),
+        "clutter": render(CAMERA, SIZE, None, None, background=clutter(SIZE, rng)),
+        "chessboard": chessboard_picture(chessboard_pose(BOARD, 40, 20, 30))[0],
+    }[name]
+
+
+@KINDS
+@pytest.mark.parametrize(
+    "name",
+    [
+        "black",
+        "saturated",
+        "noise",
+        "deep noise",
+        "one pixel",
+        "two rows",
+        "flat",
+        "narrow",
+        "stripes",
+        "pixel checks",
+        "clutter",
+        "chessboard",
+    ],
+)
+def test_where_no_board_is_none_is_found(board: CircleGrid | AsymmetricCircleGrid, name: str) -> None:
+    assert refusal(nothing(name), board).reason == "no board"
+
+
+def test_small_circles_of_a_large_image_are_found() -> None:
+    large = np.full((1200, 1600), 90, np.uint8)
+    image, true = picture(pose(SYMMETRIC, 20, span=0.22))
+    large[300:780, 700:1340] = image
+    found = detect(large, SYMMETRIC).image_points
+    assert rms(found, either_way(found, true + np.array([700, 300]))) < 0.05

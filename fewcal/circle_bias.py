@@ -9,8 +9,8 @@ centres of all circles give the map f from the board to the image, a homography 
 
 about the middle of the image and a polynomial for the rest, and the areas of the ellipses under it give the
 radius of the circles. Circles of that radius are carried through f, an ellipse is fitted to each in the way
-the image was fitted, and what its centre misses the image of the circle's centre by is taken off. A homography
-shows circles as exact ellipses, for which this is exact.
+the image was fitted, and what its centre misses the image of the circle's centre by is taken off. A
+homography shows circles as exact ellipses, for which this is exact.
 """
 
 from __future__ import annotations

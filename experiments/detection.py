@@ -16,8 +16,8 @@ sub-pixel
 
 rms is the error of a corner over both coordinates, median over the images in which the detector found the
 board; ratio is fewcal's over that of the better of OpenCV's, median over the images; found counts boards. z
-is the rms of fewcal's error over the sigma it reports (1 is right). Bias is the mean error of fewcal towards the
-light, and away from the middle of the image, thousandths of a pixel, with its standard error.
+is the rms of fewcal's error over the sigma it reports (1 is right). Bias is the mean error of fewcal towards
+the light, and away from the middle of the image, thousandths of a pixel, with its standard error.
 """
 
 from __future__ import annotations

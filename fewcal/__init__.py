@@ -1,6 +1,16 @@
 """fewcal: camera calibration from one or two views of a board, with error bars that are true."""
 
-from .boards import AsymmetricCircleGrid, Board, Charuco, Chessboard, CircleGrid, parse_board, pose_ambiguity
+from .boards import (
+    AprilGrid,
+    AsymmetricCircleGrid,
+    Board,
+    Charuco,
+    Chessboard,
+    CircleGrid,
+    KnownObject,
+    parse_board,
+    pose_ambiguity,
+)
 from .calibration import Calibration, calibrate
 from .camera import Camera
 from .camera_info import read_camera_info, write_camera_info
@@ -19,6 +29,7 @@ from .verdict import Thresholds, Verdict
 from .views import View
 
 __all__ = [
+    "AprilGrid",
     "AsymmetricCircleGrid",
     "Board",
     "BoardNotFound",
@@ -31,6 +42,7 @@ __all__ = [
     "FewcalError",
     "ImaginaryFocalLength",
     "InvalidInput",
+    "KnownObject",
     "ModelFoldsOver",
     "Normal",
     "Priors",

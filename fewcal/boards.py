@@ -11,19 +11,23 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from .aprilgrid import AprilGrid
 from .charuco import Charuco
 from .chessboard import Chessboard
 from .circle_grid import AsymmetricCircleGrid, CircleGrid
 from .detection import Detection
 from .drawing import Drawing
 from .errors import InvalidInput
+from .known_object import KnownObject
 
 __all__ = [
+    "AprilGrid",
     "AsymmetricCircleGrid",
     "Board",
     "Charuco",
     "Chessboard",
     "CircleGrid",
+    "KnownObject",
     "parse_board",
     "pose_ambiguity",
 ]
@@ -35,7 +39,7 @@ class Board(Protocol):
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """(N, 3) points in the board frame, metres, all with z = 0."""
+        """(N, 3) points in the board frame, metres, all in one plane: z = 0 on what is printed."""
 
     @property
     def turns(self) -> int:
@@ -85,8 +89,10 @@ class _Kind(Protocol):
 _KINDS: dict[str, _Kind] = {
     "chessboard": Chessboard,
     "charuco": Charuco,
+    "aprilgrid": AprilGrid,
     "circles": CircleGrid,
     "acircles": AsymmetricCircleGrid,
+    "points": KnownObject,
 }
 """Kinds of boards by the word that their text form begins with."""
 

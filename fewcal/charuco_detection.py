@@ -13,7 +13,7 @@ from .errors import BoardNotFound
 from .grey import GreyImage
 from .marker_boards import CornerGrid, locate_board
 from .marker_geometry import largest_board
-from .markers import DICTIONARIES, Markers, find_markers, recognise
+from .markers import DICTIONARIES, Markers, find_board_markers, recognise
 
 if TYPE_CHECKING:
     from .charuco import Charuco
@@ -31,7 +31,8 @@ def detect_charuco(
     grey: GreyImage, board: Charuco, source: str = "", stamp_ns: int | None = None
 ) -> Detection:
     """Find a ChArUco board or a part of it, see :meth:`fewcal.boards.Board.detect`."""
-    found = find_markers(grey, board.dictionary)
+    extent = max(board.columns, board.rows) * board.square_size / board.marker_size
+    found = find_board_markers(grey, board.dictionary, 1, board.marker_count, extent)
     own = found.take(found.ids < board.marker_count)
     plane = board.marker_corners[own.ids]
     marker = board.marker_size / board.square_size

@@ -29,8 +29,11 @@ MAX_MISPLACED = 0.25
 More are off when the board is bent."""
 MARKER_WEIGHT = 0.1
 """What the corner of a marker, known to half a pixel, counts against a corner that has been located."""
-MAX_DISTANCE = 1.5
-"""How far beyond the nearest corner of a marker a corner is looked for, squares."""
+MAX_DISTANCE = 0.75
+"""How far from the nearest known point a corner is looked for, as a share of the reach of the markers: the
+width of a marker that was not recognised, and some more."""
+_ROUNDS = 3
+"""Rounds of looking for corners; each begins with those of the round before and reaches a marker farther."""
 MAX_SHIFT = 0.25
 """How far a corner may be from where the markers expect it, squares: they are known to about a pixel."""
 
@@ -49,7 +52,7 @@ class CornerGrid:
     squares : Squares
         What is printed in them.
     reach : float
-        Distance of the middles of two neighbouring markers, metres.
+        Markers whose middles are closer than this are held against each other, metres.
     """
 
     points: Array
@@ -112,17 +115,21 @@ def locate_board(
 def _refine(grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array) -> tuple[RefinedCorners, Array]:
     """Corners near known points of the board, and the side of the square there (R, C), pixels."""
     weights = np.full(len(plane), MARKER_WEIGHT)
-    corners, _ = _refine_once(grey, grid, plane, pixels, weights)
-    # Once more, from where the corners themselves say: it finds those that had no marker close by, and the
-    # perspective of each square is known better.
-    found = corners.good
-    return _refine_once(
-        grey,
-        grid,
-        np.concatenate([plane, grid.points[found]]),
-        np.concatenate([pixels, corners.points[found]]),
-        np.concatenate([weights, np.ones(int(found.sum()))]),
-    )
+    corners, square_px = _refine_once(grey, grid, plane, pixels, weights)
+    # Once more at least, from where the corners themselves say: it finds those that had no marker close by,
+    # and the perspective of each square is known better.
+    for _ in range(1, _ROUNDS):
+        before = corners.good
+        corners, square_px = _refine_once(
+            grey,
+            grid,
+            np.concatenate([plane, grid.points[before]]),
+            np.concatenate([pixels, corners.points[before]]),
+            np.concatenate([weights, np.ones(int(before.sum()))]),
+        )
+        if corners.good.sum() <= before.sum():
+            break
+    return corners, square_px
 
 
 def _refine_once(
@@ -137,7 +144,7 @@ def _refine_once(
     square_px = np.linalg.norm(frames[..., :2, :2], axis=-2).min(axis=-1)
     last = np.array(grey.shape[::-1]) - 1
     inside = np.all((expected >= 0) & (expected <= last), axis=-1)
-    wanted = inside & (distance.reshape(shape) < MAX_DISTANCE * grid.square)
+    wanted = inside & (distance.reshape(shape) < MAX_DISTANCE * grid.reach)
     corners = refine_corners(grey, np.where(wanted[..., None], expected, np.nan), frames, grid.squares)
     shift = np.linalg.norm(corners.points - expected, axis=-1)
     off = np.any((corners.points < MIN_BORDER_PX) | (corners.points > last - MIN_BORDER_PX), axis=-1)

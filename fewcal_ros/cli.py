@@ -17,7 +17,7 @@ from .threads import SINGLE_THREAD
 
 os.environ.setdefault(*SINGLE_THREAD)
 
-from fewcal.boards import parse_board, pose_ambiguity
+from fewcal.boards import Board, KnownObject, parse_board, pose_ambiguity
 from fewcal.calibration import METHODS
 from fewcal.camera_info import check_camera_name, write_camera_info
 from fewcal.constraints import Priors
@@ -31,6 +31,7 @@ from .errors import RosError
 from .frames import FrameReader, open_frames
 from .messages import Frame
 from .offline import Outcome, Settings, calibrate_frames
+from .pixel_frames import PixelFrames
 from .recordings import RecordingInfo, recording_info
 from .report import as_json, as_text
 
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
 
 REDRAW_S = 0.1
 """The progress bar is drawn no more often than this."""
+
+MAX_IMAGE_SIDE = 100_000
+"""Pixels; no camera has as many."""
 
 USABLE, NOT_USABLE, BAD_INPUT, NO_CALIBRATION = 0, 1, 2, 3
 INTERRUPTED, PIPE_CLOSED = 130, 141
@@ -53,7 +57,7 @@ exit codes:
 """
 
 _CALIBRATE = """
-Calibrate a camera from a recording, images, or a folder of images that show a chessboard.
+Calibrate a camera from a recording, images, or a folder of images that show a board.
 
 One view of a board tilted by 30 to 60 degrees is enough for a first answer, two tilted about different axes
 for a good one. The answer comes with error bars; when the views do not determine the camera, it says so.
@@ -62,8 +66,14 @@ examples:
   fewcal calibrate arm.mcap --board chessboard:9x6:0.025
   fewcal calibrate rosbag2_folder --topic /camera/image_raw --board chessboard:9x6:0.025 --out result
   fewcal calibrate photo1.jpg photo2.jpg --board chessboard:9x6:0.025 --json
+  fewcal calibrate coin.jpg --board points:coin.txt        with coin.pixels.txt beside coin.jpg
 
-The size of a board counts interior corners, where four squares meet: a board of 10x7 squares is 9x6.
+boards, lengths in metres:
+  chessboard:9x6:0.025                 interior corners (a board of 10x7 squares is 9x6), edge of a square
+  charuco:7x5:0.04:0.03:DICT_5X5_100   squares, edge of a square and of a marker, dictionary of OpenCV
+  aprilgrid:6x6:0.088:0.3:tag36h11     tags as Kalibr prints them, edge of a tag, gap as a share of it, family
+  circles:10x7:0.02                    circles, from one to the next
+  acircles:4x11:0.02                   circles in a row, rows, half the distance of two in a row
 """
 
 _BOARD = """
@@ -152,7 +162,8 @@ def _parser() -> argparse.ArgumentParser:
         "sources",
         nargs="+",
         metavar="SOURCE",
-        help="a .mcap, .db3 or .bag file, a rosbag2 folder, images, or a folder of images",
+        help="a .mcap, .db3 or .bag file, a rosbag2 folder, images, or a folder of images; with points:FILE "
+        "images that have NAME.pixels.txt beside them, or these files",
     )
     command.add_argument(
         "--board", required=True, help="what the views show, such as chessboard:9x6:0.025 (sizes in metres)"
@@ -191,6 +202,13 @@ def _parser() -> argparse.ArgumentParser:
         default=Thresholds().focal_std,
         metavar="SHARE",
         help="relative error of the focal length up to which a camera is usable (default %(default)s)",
+    )
+    command.add_argument(
+        "--image-size",
+        nargs=2,
+        type=_pixel_count,
+        metavar=("WIDTH", "HEIGHT"),
+        help="with points:FILE, when a SOURCE is a file of pixels without its image",
     )
     command.add_argument("--camera-name", default="camera", metavar="NAME", help="name in camera.yaml")
     command.add_argument(
@@ -268,6 +286,12 @@ def _rate(text: str) -> float:
     return rate
 
 
+def _pixel_count(text: str) -> int:
+    if not text.isdecimal() or not 2 <= int(text) <= MAX_IMAGE_SIDE:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of pixels; give 2 to {MAX_IMAGE_SIDE}")
+    return int(text)
+
+
 def _view_count(text: str) -> int | None:
     if text == "all":
         return None
@@ -294,7 +318,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     )
     if options.out is not None:
         _make_folder(options.out)
-    with open_frames(options.sources, options.topic) as reader:
+    with _open(options, settings.board) as reader:
         try:
             with _progress(reader) as frames:
                 outcome = calibrate_frames(frames, settings)
@@ -317,7 +341,15 @@ def _calibrate(options: argparse.Namespace) -> int:
     return USABLE if outcome.calibration.verdict.usable else NOT_USABLE
 
 
-def _count_unreadable(outcome: Outcome, reader: FrameReader) -> Outcome:
+def _open(options: argparse.Namespace, board: Board) -> FrameReader | PixelFrames:
+    if isinstance(board, KnownObject):
+        return PixelFrames(options.sources, tuple(options.image_size) if options.image_size else None)
+    if options.image_size:
+        raise InvalidInput("--image-size is for files of pixels, with --board points:FILE; images have one.")
+    return open_frames(options.sources, options.topic)
+
+
+def _count_unreadable(outcome: Outcome, reader: FrameReader | PixelFrames) -> Outcome:
     """Count the frames that could not be decoded among those read."""
     outcome.rejected["unreadable"] += reader.skipped
     return Outcome(outcome.calibration, outcome.read + reader.skipped, outcome.with_board, +outcome.rejected)
@@ -333,7 +365,7 @@ def _make_folder(folder: Path) -> None:
 
 
 @contextmanager
-def _progress(reader: FrameReader) -> Iterator[Iterable[Frame]]:
+def _progress(reader: FrameReader | PixelFrames) -> Iterator[Iterable[Frame]]:
     """Show progress on a terminal; elsewhere nothing."""
     if not sys.stderr.isatty():
         yield reader
@@ -346,7 +378,7 @@ def _progress(reader: FrameReader) -> Iterator[Iterable[Frame]]:
         yield _counted(reader, progress)
 
 
-def _counted(reader: FrameReader, progress: Progress) -> Iterator[Frame]:
+def _counted(reader: FrameReader | PixelFrames, progress: Progress) -> Iterator[Frame]:
     """Pass frames on and move the progress bar."""
     task = progress.add_task("Looking for the board", total=reader.total)
     drawn = float("-inf")

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from fewcal.boards import Board, parse_board
+from fewcal.boards import Board, KnownObject, parse_board
 from fewcal.calibration import METHODS
 from fewcal.camera_info import check_camera_name
 from fewcal.constraints import Priors
@@ -187,7 +187,11 @@ class Parameters:
                 "The parameter board is missing; say what is shown, for example "
                 "-p board:=chessboard:9x6:0.025 (interior corners, metres)."
             )
-        parse_board(self.board)
+        if isinstance(parse_board(self.board), KnownObject):
+            raise InvalidInput(
+                f"{self.board} needs a file of pixels for every image, which live images do not have; "
+                "use fewcal calibrate."
+            )
         check_camera_name(self.camera_name)
         if (self.prior_focal_px > 0) != (self.prior_focal_std_px > 0):
             raise InvalidInput("prior.focal_px and prior.focal_std_px belong together; give both or neither.")

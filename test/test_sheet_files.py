@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from marker_pictures import needs_markers
 
 from fewcal.boards import Board, parse_board
 from fewcal.detection import detect
@@ -18,7 +19,15 @@ from fewcal.sheet_files import as_pdf, as_png, as_svg, write_sheet
 
 DPI = 254
 """Ten pixels a millimetre, so that a sheet is a whole number of pixels and no rasteriser stretches it."""
-BOARDS = [("chessboard:9x6:0.025", "A4"), ("chessboard:5x7:0.04", "A3")]
+BOARDS = [
+    ("chessboard:9x6:0.025", "A4"),
+    ("chessboard:5x7:0.04", "A3"),
+    pytest.param("charuco:7x5:0.035:0.026:DICT_5X5_100", "A4", marks=needs_markers),
+    pytest.param("charuco:5x8:0.03:0.022:DICT_4X4_50:legacy", "A4", marks=needs_markers),
+    pytest.param("aprilgrid:6x4:0.03:0.3:tag36h11", "A4", marks=needs_markers),
+    ("circles:10x7:0.02", "A4"),
+    ("acircles:4x11:0.02", "A4"),
+]
 
 
 def from_png(sheet: Sheet):

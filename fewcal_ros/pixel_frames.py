@@ -1,0 +1,104 @@
+"""Frames that show known objects: images, each with a file beside it of the pixels that were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from fewcal.errors import InvalidInput
+from fewcal.known_object import PIXEL_SUFFIXES, pixel_file
+
+from .encoded import decode_grey
+from .messages import Frame
+from .recordings import is_recording, readable
+
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+
+
+class PixelFrames:
+    """Images that have their pixels beside them, in order; a context manager as `FrameReader` is.
+
+    Parameters
+    ----------
+    sources : sequence of path
+        Images, files of pixels, or folders of either.
+    image_size : (int, int), optional
+        Width and height, for files of pixels that have no image beside them.
+
+    Attributes
+    ----------
+    total, read, skipped : int
+        Frames to expect, frames given, and frames left out, which is none.
+    warnings : list of str
+        None.
+
+    Raises
+    ------
+    InvalidInput
+        When an image has no pixels, or pixels have no image and no size is given.
+    """
+
+    def __init__(self, sources: Sequence[str | Path], image_size: tuple[int, int] | None) -> None:
+        self._frames = [_Source(path, image_size) for source in sources for path in _expanded(Path(source))]
+        self.total = len(self._frames)
+        self.read = self.skipped = 0
+        self.warnings: list[str] = []
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.read = 0
+        for source in self._frames:
+            self.read += 1
+            yield source.frame()
+
+    def __enter__(self) -> PixelFrames:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Nothing is open."""
+
+
+class _Source:
+    """One image, or a file of pixels and how large their image is."""
+
+    def __init__(self, path: Path, image_size: tuple[int, int] | None) -> None:
+        self._pixels = pixel_file(path)
+        self._image = path if path != self._pixels else _image_of(path)
+        self._size = image_size
+        if self._image is None and image_size is None:
+            raise InvalidInput(
+                f"{path.name} has no image beside it; give --image-size WIDTH HEIGHT, or the image itself."
+            )
+
+    def frame(self) -> Frame:
+        if self._image is None:
+            assert self._size is not None
+            return Frame(np.zeros(self._size[::-1], np.uint8), None, "", str(self._pixels))
+        with readable(self._image):
+            data = self._image.read_bytes()
+        return Frame(decode_grey(data, self._image.name), None, "", str(self._image))
+
+
+def _expanded(path: Path) -> list[Path]:
+    """A file itself; of a folder every file of pixels."""
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.name.lower().endswith(PIXEL_SUFFIXES))
+        if not files:
+            raise InvalidInput(f"{path} holds no files of pixels, whose names end in {PIXEL_SUFFIXES[0]}.")
+        return files
+    if not path.is_file():
+        raise InvalidInput(f"{path} does not exist; check the path.")
+    if is_recording(path):
+        raise InvalidInput(f"{path} is a recording, which has no pixels of named points; give images.")
+    return [path]
+
+
+def _image_of(pixels: Path) -> Path | None:
+    """Image that a file of pixels belongs to."""
+    stem = pixels.name[: -len(PIXEL_SUFFIXES[0])]
+    beside = (pixels.with_name(stem + suffix) for suffix in IMAGE_SUFFIXES)
+    return next((image for image in beside if image.is_file()), None)

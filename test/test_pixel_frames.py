@@ -1,0 +1,98 @@
+"""Known objects from the command line: images with files of pixels beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from scenes import CAMERA, SIZE, pose
+from test_cli import assert_one_sentence, run  # noqa: F401 - a fixture
+from test_known_object import POINTS, pixels_at, write
+from write_recordings import image, write_mcap
+
+import fewcal
+from fewcal_ros.parameters import Parameters
+from fewcal_ros.pixel_frames import PixelFrames
+
+
+@pytest.fixture
+def plate(tmp_path: Path) -> str:
+    """An object, and three photos of it with their pixels."""
+    board = f"points:{write(tmp_path / 'plate.txt', POINTS)}"
+    points = fewcal.parse_board(board).points
+    for i, about in enumerate((0, 90, 45)):
+        T = pose(40, about, span=0.5, points=points)
+        write(tmp_path / f"photo{i}.pixels.txt", pixels_at(T))
+        cv2.imwrite(str(tmp_path / f"photo{i}.jpg"), np.zeros(SIZE[::-1], np.uint8))
+    return board
+
+
+def test_images_with_their_pixels_calibrate(run: Any, plate: str, tmp_path: Path) -> None:  # noqa: F811
+    photos = [tmp_path / f"photo{i}.jpg" for i in range(3)]
+    result = run("calibrate", *photos, "--board", plate, "--views", "all", "--json")
+    assert result.code in (0, 1)
+    assert result.err == ""
+    assert result.content["camera"]["fx"] == pytest.approx(CAMERA.fx, rel=0.01)
+    assert [view["source"] for view in result.content["views"]] == [str(photo) for photo in photos]
+    folder = run("calibrate", tmp_path, "--board", plate, "--views", "all", "--json")
+    assert folder.content["camera"] == result.content["camera"]
+
+
+def test_pixels_alone_need_the_size_of_the_image(run: Any, plate: str, tmp_path: Path) -> None:  # noqa: F811
+    with_images = run("calibrate", tmp_path, "--board", plate, "--json")
+    for photo in tmp_path.glob("*.jpg"):
+        photo.unlink()
+    result = run("calibrate", tmp_path, "--board", plate, "--json")
+    assert (result.code, result.out) == (2, "")
+    assert "photo0.pixels.txt has no image beside it; give --image-size" in result.err
+    size = [str(n) for n in SIZE]
+    result = run("calibrate", tmp_path, "--board", plate, "--json", "--image-size", *size)
+    assert result.content["camera"] == with_images.content["camera"]
+    assert result.content["image_size"] == list(SIZE)
+
+
+def test_what_cannot_be_calibrated(run: Any, plate: str, tmp_path: Path) -> None:  # noqa: F811
+    lonely = tmp_path / "lonely.png"
+    cv2.imwrite(str(lonely), np.zeros(SIZE[::-1], np.uint8))
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    recording = write_mcap(tmp_path, [image(0)])
+    for source, says in {
+        lonely: "write lonely.pixels.txt beside it",
+        empty: "holds no files of pixels",
+        recording: "is a recording",
+        tmp_path / "missing.png": "does not exist",
+    }.items():
+        result = run("calibrate", source, "--board", plate)
+        assert (result.code, result.out) == (2, "")
+        assert_one_sentence(result.err)
+        assert says in result.err
+
+
+@pytest.mark.parametrize("size", [("0", "480"), ("640", "x"), ("640", "1e9"), ("640", "1000000")])
+def test_sizes_that_are_none(run: Any, plate: str, tmp_path: Path, size: tuple[str, str]) -> None:  # noqa: F811
+    result = run("calibrate", tmp_path, "--board", plate, "--image-size", *size)
+    assert (result.code, result.out) == (2, "")
+    assert_one_sentence(result.err)
+
+
+def test_the_size_of_images_is_not_asked_for(run: Any, plate: str, tmp_path: Path) -> None:  # noqa: F811
+    arguments = ["--board", "chessboard:9x6:0.025", "--image-size", "640", "480"]
+    result = run("calibrate", tmp_path / "photo0.jpg", *arguments)
+    assert result.code == 2
+    assert_one_sentence(result.err)
+
+
+def test_frames_can_be_read_again(plate: str, tmp_path: Path) -> None:
+    with PixelFrames([tmp_path], None) as frames:
+        assert frames.total == 3
+        assert [frame.source for frame in frames] == [frame.source for frame in frames]
+        assert frames.read == 3
+
+
+def test_the_live_node_has_no_pixels(plate: str) -> None:
+    with pytest.raises(fewcal.InvalidInput, match="needs a file of pixels for every image"):
+        Parameters(board=plate)

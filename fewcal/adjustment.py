@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .constraints import PriorRows
 from .least_squares import NormalEquations, Stop
 from .noise import Noise
-from .parametrisation import Parametrisation, ScaleFree
+from .parametrisation import SHIFT, Parametrisation, ScaleFree
 from .views import ViewStack
 
 Array = NDArray[np.float64]
@@ -97,24 +98,20 @@ class Adjustment:
         points += position[..., None]
         depth = points[:, :, 2:]
         depth = np.where(depth > 0, depth, np.nan)
-        rays = points[:, :, :2] / depth
-        camera = columns[:, :, POSE : POSE + size]
-        pixels, by_rays = self.model.project(rays, theta, camera)
-        shift = columns[:, :, 3:POSE]
-        np.divide(by_rays, depth[:, :, None], out=shift[:, :, :2])
-        along = shift[:, :, :2] * rays[:, :, :, None]
-        np.negative(along[:, :, 0] + along[:, :, 1], out=shift[:, :, 2])
+        self.model.project(points[:, :, :2] / depth, theta, columns[:, :, POSE - SHIFT :])
+        turn, shift = columns[:, :, : POSE - SHIFT], columns[:, :, POSE - SHIFT : POSE]
+        shift /= depth[:, :, None]
         # A turn w of the board moves its point p by R (w x p), and d . R (w x p) = w . (p x R'd).
         d = np.swapaxes(rotation, -1, -2) @ shift.reshape(*shift.shape[:3], -1)
         d = d.reshape(shift.shape)
         x, y = board[:, 0, None], board[:, 1, None]
-        np.multiply(d[:, :, 2], y, out=columns[:, :, 0])
-        np.multiply(d[:, :, 2], -x, out=columns[:, :, 1])
-        np.subtract(d[:, :, 1] * x, d[:, :, 0] * y, out=columns[:, :, 2])
+        np.multiply(d[:, :, 2], y, out=turn[:, :, 0])
+        np.multiply(d[:, :, 2], -x, out=turn[:, :, 1])
+        np.subtract(d[:, :, 1] * x, d[:, :, 0] * y, out=turn[:, :, 2])
         if isinstance(self.model, ScaleFree):
             # The boards keep their size in the image, see retract.
-            camera[:, :, 0] += shift[:, :, 2] * position[..., 2, None, None]
-        np.subtract(pixels, self.views.pixels, out=columns[:, :, -1])
+            columns[:, :, POSE] += shift[:, :, 2] * position[..., 2, None, None]
+        columns[:, :, -1] -= self.views.pixels
         columns *= self.views.weights[:, None, None, :]
         return columns
 
@@ -122,11 +119,13 @@ class Adjustment:
         """Normal equations; a state with a point behind the camera, or beyond all numbers, is NaN."""
         columns = self.jacobian(state)
         columns = columns.reshape(*columns.shape[:3], -1)
-        r, J = self.constraint(state.theta)
-        constraint = np.concatenate([J, r[..., None]], axis=-1)
-        return NormalEquations(
-            columns @ np.swapaxes(columns, -1, -2), np.swapaxes(constraint, -1, -2) @ constraint
-        )
+        if isinstance(self.constraint, PriorRows):
+            shared = self.constraint.quadratic(state.theta)
+        else:
+            r, J = self.constraint(state.theta)
+            constraint = np.concatenate([J, r[..., None]], axis=-1)
+            shared = np.swapaxes(constraint, -1, -2) @ constraint
+        return NormalEquations(columns @ np.swapaxes(columns, -1, -2), shared)
 
     def rows(self, state: Geometry, sigma: float) -> Rows:
         """Rows of a batch of one, with the standard deviation of an image point of weight 1 in pixels."""
@@ -150,11 +149,6 @@ class Adjustment:
         moved = _moved(state, shared, local)
         moved.position[..., 2] += state.position[..., 2] * np.expm1(shared[:, None, 0])
         return moved
-
-    def squares(self, state: Geometry) -> Array:
-        """Weighted sum of squared reprojection errors, (B, V), px^2."""
-        squares: Array = (self.jacobian(state)[:, :, -1] ** 2).sum(axis=(-2, -1))
-        return squares
 
     def variance(self, squares: Array) -> Array:
         """Variance (B,) of an image point of weight 1, px^2, for sums of squared residuals (B,)."""
@@ -185,7 +179,7 @@ class Estimate:
     geometry : Geometry
         Its solution, with a batch of one.
     sigma : float
-        Standard deviation of an image point of weight 1, pixels.
+        Standard deviation of an image point of weight 1 before the last step, pixels.
     stop : Stop
         Why the last iteration stopped.
     """

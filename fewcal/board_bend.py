@@ -29,25 +29,25 @@ def with_bend(rows: Rows, points: Array) -> Rows:
     Parameters
     ----------
     rows : Rows
+        Those of the priors stay as they are.
     points : (V, 2, N)
         Those of the views, :attr:`ViewStack.points`, metres.
     """
     half = np.ptp(points, axis=-1).max(axis=0) / 2
-    lift = 2 * np.hypot(*half) * np.tile(points, 2) / half[:, None] ** 2
-    by_bend = rows.by_pose[..., [1, 0]] * np.swapaxes(lift, -1, -2) * [-1, 1]
-    return rows._replace(
-        by_camera=np.concatenate([rows.by_camera, by_bend], axis=-1),
-        prior_by_camera=np.pad(rows.prior_by_camera, ((0, 0), (0, 2))),
-    )
+    lift = (2 * np.hypot(*half) / half[:, None] ** 2 * [[-1], [1]] * points).swapaxes(-1, -2)
+    by_bend = rows.by_pose[..., [1, 0]] * np.concatenate([lift, lift], axis=1)
+    return rows._replace(by_camera=np.concatenate([rows.by_camera, by_bend], axis=-1))
 
 
 def with_bend_prior(tails: Tails) -> Tails:
     """Add the prior of the bend, at a flat board."""
-    groups = len(tails.nu)
-    by_unknowns = np.pad(tails.by_unknowns, ((0, 2), (0, 2)))
+    rows, size = tails.by_unknowns.shape
+    by_unknowns = np.zeros((rows + 2, size + 2))
+    by_unknowns[:rows, :size] = tails.by_unknowns
     by_unknowns[[-2, -1], [-2, -1]] = 1 / SCALE
+    groups = len(tails.nu)
     return Tails(
-        np.pad(tails.z, (0, 2)),
+        np.append(tails.z, [0, 0]),
         by_unknowns,
         np.append(tails.group, [groups, groups + 1]),
         np.append(tails.nu, [NU, NU]),

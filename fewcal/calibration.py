@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .adjustment import Estimate
+from .adjustment import Estimate, Rows
 from .camera import Camera
-from .constraints import PRIOR_ROWS, Priors
+from .constraints import PRIOR_ROWS, PriorRows, Priors
 from .errors import InvalidInput
 from .least_squares import Stop
 from .map_estimator import estimate_map
@@ -170,11 +170,12 @@ def calibrate(
     else:
         raise InvalidInput(f"There is no method {method!r}; choose one of {', '.join(METHODS)}.")
     model = found.adjustment.model
+    rows = found.adjustment.rows(found.geometry, found.sigma)
     if isinstance(model, ScaleFree):
-        solution = _map_solution(found, model, priors)
+        solution = _map_solution(found, rows, model)
     else:
-        solution = _pixel_solution(found, model, size, priors)
-    return _result(found, solution, views, size, method, thresholds)
+        solution = _pixel_solution(found, rows, model, size, priors)
+    return _result(found, rows, solution, views, size, method, thresholds)
 
 
 @dataclass(frozen=True)
@@ -190,7 +191,7 @@ class _Solution:
     prior_conflicts: dict[str, float]
 
 
-def _map_solution(found: Estimate, model: ScaleFree, priors: Priors) -> _Solution:
+def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
     theta = found.geometry.theta[0]
     natural = model.natural(theta)
     if model.in_pixels:
@@ -200,10 +201,9 @@ def _map_solution(found: Estimate, model: ScaleFree, priors: Priors) -> _Solutio
         fx, fy, cx, cy = natural[:4].tolist()
         camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
         coefficients = from_plumb_bob(camera)
-    conflicts, _ = found.adjustment.constraint(theta[None])
-    result = camera_posterior(
-        found.adjustment, found.geometry, found.sigma, priors.rows(max(model.image_size))
-    )
+    known = found.adjustment.constraint
+    assert isinstance(known, PriorRows)
+    result = camera_posterior(rows, found.adjustment.views.points, known.tails(theta))
     J = model.natural_jacobian(theta)
     return _Solution(
         camera,
@@ -212,21 +212,23 @@ def _map_solution(found: Estimate, model: ScaleFree, priors: Priors) -> _Solutio
         found.sigma,
         J @ result.covariance[:8, :8] @ J.T,
         {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)[:8]).items()},
-        _worst_by_name(np.abs(conflicts[0])),
+        _worst_by_name(np.abs(rows.prior)),
     )
 
 
-def _pixel_solution(found: Estimate, model: PixelModel, size: tuple[int, int], priors: Priors) -> _Solution:
+def _pixel_solution(
+    found: Estimate, rows: Rows, model: PixelModel, size: tuple[int, int], priors: Priors
+) -> _Solution:
     theta = found.geometry.theta[0]
     coefficients = model.coefficients(theta)
-    squares = found.adjustment.squares(found.geometry)
-    sigma = float(np.sqrt(Noise.of(found.adjustment.views, priors).variance(squares.sum(axis=1))[0]))
+    squares = (rows.r**2).sum(keepdims=True)[0] * found.sigma**2
+    sigma = float(np.sqrt(Noise.of(found.adjustment.views, priors).variance(squares)[0]))
     covariance: Array | None = None
     if model.tangential:
-        of_theta = gaussian_covariance(found.adjustment.rows(found.geometry, 1.0))
+        of_theta = gaussian_covariance(rows)
         J = plumb_bob_jacobian(theta)
         known = np.isfinite(of_theta).all()
-        covariance = J @ of_theta @ J.T * sigma**2 if known else np.full((8, 8), np.inf)
+        covariance = J @ of_theta @ J.T * (sigma / found.sigma) ** 2 if known else np.full((8, 8), np.inf)
     camera = nearest_plumb_bob(theta[:5], coefficients, size)
     return _Solution(camera, coefficients, float(theta[4]), sigma, covariance, None, {})
 
@@ -241,6 +243,7 @@ def _worst_by_name(values: Array) -> dict[str, float]:
 
 def _result(
     found: Estimate,
+    rows: Rows,
     solution: _Solution,
     views: tuple[View, ...],
     size: tuple[int, int],
@@ -250,11 +253,12 @@ def _result(
     stack = found.adjustment.views
     rotation = found.geometry.rotation[0] @ np.swapaxes(stack.plane, -1, -2)
     position = found.geometry.position[0]
-    poses = np.tile(np.eye(4), (len(views), 1, 1))
+    poses = np.zeros((len(views), 4, 4))
     poses[:, :3, :3] = rotation
     poses[:, :3, 3] = position - (rotation @ stack.centroid[..., None])[..., 0]
+    poses[:, 3, 3] = 1
     counts = (stack.weights > 0).sum(axis=1)
-    squares = _squared_errors(found)
+    squares = _squared_errors(rows, found.sigma, stack.weights)
     covariance = solution.covariance
     evidence = Evidence(
         rotations=rotation,
@@ -292,11 +296,10 @@ def _focal_std(covariance: Array, camera: Camera) -> float:
     return float(np.sqrt(covariance[0, 0])) / camera.fx
 
 
-def _squared_errors(found: Estimate) -> Array:
+def _squared_errors(rows: Rows, sigma: float, weights: Array) -> Array:
     """Sum of squared distances between projected and observed points of each view, (V,), px^2."""
-    views = found.adjustment.views
-    unweighted = views._replace(weights=(views.weights > 0).astype(float))
-    squares: Array = replace(found.adjustment, views=unweighted).squares(found.geometry)[0]
+    pixels = sigma / np.where(weights > 0, weights, np.inf)
+    squares: Array = ((rows.r.reshape(len(weights), 2, -1) * pixels[:, None]) ** 2).sum(axis=(1, 2))
     return squares
 
 

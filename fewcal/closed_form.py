@@ -52,7 +52,7 @@ def simplified_intrinsics(H: Array, principal_point: Array, held: bool = False) 
         by_square, rest = rows[..., 0], rows[..., 3]
         squared = -(by_square * rest).sum(axis=-1) / (by_square * by_square).sum(axis=-1) * size**2
         return np.concatenate([squared[..., None], np.broadcast_to(centre, (*squared.shape, 2))], axis=-1)
-    _, _, vt = np.linalg.svd(rows)
+    _, _, vt = np.linalg.svd(rows, full_matrices=False)
     with np.errstate(divide="ignore", invalid="ignore"):
         b = vt[..., 3, :] / vt[..., 3, 3:]
         squared = b[..., 0] - b[..., 1] ** 2 - b[..., 2] ** 2

@@ -15,12 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InvalidInput
+from .least_squares import diagonal
 from .scale_mixture import Tails
 
 Array = NDArray[np.float64]
 
 ASPECT_TOLERANCE_PX = 50.0
 """The constant a of eq 29, pixels, as in the paper's experiments (section 5)."""
+STIFFNESS = 0.7
+"""Least curvature of a t prior along its argument, as a share of Gauss-Newton's."""
 LARGEST_EXPONENT = 50.0
 """Bound of the exponent of eq 29; beyond it the penalty would overflow long before it mattered."""
 
@@ -234,8 +237,41 @@ class PriorRows:
         z, by_theta = self._whitened(theta)
         gain, bend = _student_gain(z * z @ _TOGETHER, self.tail, _DIMENSION)
         by_z = (bend * z)[:, :, None] * z[:, None, :] * _TOGETHER
-        by_z[:, np.arange(8), np.arange(8)] += gain
+        diagonal(by_z)[...] += gain
         return gain * z, by_z @ by_theta
+
+    def quadratic(self, theta: Array) -> Array:
+        """Second-order model of twice the negative log density, in the place of [J, r]' [J, r].
+
+        J'J gives a t prior too much curvature along z: q / ((1 + q) ln(1 + q)) times slope over z, with
+        q = |z|^2 / nu, instead of (1 - q) / (1 + q). That makes the last steps too short. But the latter
+        turns negative, and far from the minimum steps become too long before it does, so that no less than
+        :data:`STIFFNESS` of the former is taken.
+
+        Parameters
+        ----------
+        theta : (B, 8)
+
+        Returns
+        -------
+        (B, 9, 9) symmetric: Hessian and gradient of half of it by `theta`; its value in the last place.
+        """
+        z, by_theta = self._whitened(theta)
+        squares = z * z @ _TOGETHER
+        q = squares * self.tail
+        factor = 1 + _DIMENSION * self.tail
+        slope = factor / (1 + q)
+        safe = np.maximum(q, 1e-30)
+        logarithm = np.log1p(safe) / safe
+        along = np.maximum((1 - q) / (1 + q), STIFFNESS / ((1 + q) * logarithm))
+        by_z = (slope * (along - 1) * z / np.maximum(squares, 1e-300))[:, :, None] * z[:, None, :] * _TOGETHER
+        diagonal(by_z)[...] += slope
+        transposed = np.swapaxes(by_theta, -1, -2)
+        model = np.empty((len(theta), 9, 9))
+        model[:, :8, :8] = transposed @ (by_z @ by_theta)
+        model[:, 8, :8] = model[:, :8, 8] = (transposed @ (slope * z)[:, :, None])[:, :, 0]
+        model[:, 8, 8] = (factor * logarithm * z * z).sum(axis=1)
+        return model
 
     def tails(self, theta: Array) -> Tails:
         """See the priors as normal ones of unknown precision, at one camera (8,)."""
@@ -246,10 +282,11 @@ class PriorRows:
 
     def _whitened(self, theta: Array) -> tuple[Array, Array]:
         """Z of zero mean and unit scale (B, 8), and its derivative (B, 8, 8)."""
-        x = theta[:, 0] - self.reference
-        z = (theta - self.mean) @ self.whiten.T + np.clip(x, -1, 1)[:, None] * self.slope
-        by_theta = np.repeat(self.whiten[None], len(theta), axis=0)
-        by_theta[:, 4:6, 0] = np.where(np.abs(x) < 1, 1.0, 0.0)[:, None] * self.slope[4:6]
+        x = theta[:, :1] - self.reference
+        z = (theta - self.mean) @ self.whiten.T + np.minimum(np.maximum(x, -1), 1) * self.slope
+        by_theta = np.empty((len(theta), 8, 8))
+        by_theta[:] = self.whiten
+        by_theta[:, 4:6, 0] = (np.abs(x) < 1) * self.slope[4:6]
         return z, by_theta
 
 

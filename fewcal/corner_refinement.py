@@ -57,6 +57,8 @@ BAND_PX = 4.0
 whose edges run a little apart from those of the square by perspective."""
 MIN_FREE_PX = 1.0
 """Least half width of these bands: they show both sides of the edge."""
+STRONG_PERCENT = 90
+"""Percentile of the contrasts that is that of a corner, whatever covers the others."""
 _PARAMETERS = 10
 _LOWER, _UPPER = np.full((2, _PARAMETERS), [[-np.inf], [np.inf]])
 _LOWER[4:6], _UPPER[4:6] = MIN_BLUR_PX, MAX_BLUR_PX
@@ -111,9 +113,15 @@ class RefinedCorners:
     def good(self) -> NDArray[np.bool_]:
         """(R, C) whether the image shows a corner of this board there at all."""
         step = np.where(np.indices(self.contrast.shape).sum(axis=0) % 2 == 0, self.contrast, -self.contrast)
-        usual = np.nanmedian(step) if np.isfinite(step).any() else np.nan
+        explained = self.explained > MIN_EXPLAINED
+        # What covers most of a board may be flat: that is explained, but has no contrast.
+        strongest = np.percentile(np.abs(step[explained]), STRONG_PERCENT) if explained.any() else 0.0
+        strong = explained & (np.abs(step) > MIN_CONTRAST_SHARE * strongest)
+        if not strong.any():
+            return strong
+        usual = np.median(step[strong])
         enough = step * np.sign(usual) > MIN_CONTRAST_SHARE * abs(usual)
-        return np.asarray((self.explained > MIN_EXPLAINED) & enough)
+        return np.asarray(explained & enough)
 
 
 def refine_corners(

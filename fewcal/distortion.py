@@ -119,6 +119,9 @@ def monomials(points: Array) -> Array:
     return terms
 
 
+DEGREE = np.array([1, 1, 2, 2, 2, 4, 4, 4, 3, 3, 5, 5, 0])
+"""Degree of each of :func:`monomials`: its factor under x d/dx + y d/dy."""
+
 POLYNOMIAL = np.zeros((5, 6, 13))
 """Terms of :func:`monomials` in x', y', dx'/dx, dy'/dx, dx'/dy and dy'/dy, for each of 1, k1, k2, p1, p2."""
 POLYNOMIAL[0, [0, 1, 2, 5], [0, 1, 12, 12]] = 1
@@ -126,46 +129,6 @@ POLYNOMIAL[1, [0, 1, 2, 2, 3, 4, 5, 5], [8, 9, 2, 4, 3, 3, 2, 4]] = 1, 1, 3, 1, 
 POLYNOMIAL[2, [0, 1, 2, 2, 3, 4, 5, 5], [10, 11, 5, 7, 6, 6, 5, 7]] = 1, 1, 5, 1, 4, 4, 1, 5
 POLYNOMIAL[3, [0, 1, 1, 2, 3, 4, 5], [3, 2, 4, 1, 0, 0, 1]] = 2, 1, 3, 2, 2, 2, 6
 POLYNOMIAL[4, [0, 0, 1, 2, 3, 4, 5], [2, 4, 3, 0, 1, 1, 0]] = 3, 1, 2, 6, 2, 2, 2
-_BY_COEFFICIENT = POLYNOMIAL[1:, :2].reshape(8, 13)
-
-
-def distort_scaled(
-    points: Array, coefficients: Array, before: Array, after: Array
-) -> tuple[Array, Array, Array]:
-    """Distort with k3 = 0 and differentiate; for the inner loop, with the points along the last axis.
-
-    Parameters
-    ----------
-    points : (B, V, 2, N)
-    coefficients : (B, 4)
-        k1, k2, p1, p2.
-    before, after : (B, 2)
-        The points are scaled by `before`, distorted, and scaled by `after`.
-
-    Returns
-    -------
-    distorted : (B, V, 2, N)
-    by_points : (B, V, 2, 2, N)
-        Derivative by x, then by y, of both coordinates.
-    by_coefficients : (B, V, 4, 2, N)
-        Derivative by each coefficient of both coordinates.
-    """
-    size, views, _, count = points.shape
-    combination = np.empty((size, 14, 13))
-    np.add(
-        POLYNOMIAL[0],
-        (coefficients @ POLYNOMIAL[1:].reshape(4, -1)).reshape(-1, 6, 13),
-        out=combination[:, :6],
-    )
-    combination[:, 6:] = _BY_COEFFICIENT
-    combination.reshape(size, 7, 2, 13)[...] *= after[:, None, :, None]
-    combination[:, 2:6].reshape(size, 2, 2, 13)[...] *= before[:, :, None, None]
-    values = combination[:, None] @ monomials(points * before[:, None, :, None])
-    return (
-        values[:, :, :2],
-        values[:, :, 2:6].reshape(size, views, 2, 2, count),
-        values[:, :, 6:].reshape(size, views, 4, 2, count),
-    )
 
 
 def fold_radius(distortion: Array) -> Array:

@@ -15,7 +15,7 @@ class InvalidInput(FewcalError, ValueError):
 
 
 class BoardNotFound(FewcalError):
-    """The image does not show the whole board well enough to use.
+    """The image does not show the board well enough to use.
 
     Parameters
     ----------

@@ -142,17 +142,18 @@ def _normalise(points: Array, weights: Array) -> tuple[Array, Array]:
     """
     used = (weights > 0).astype(float)
     count = used.sum(axis=-1)
-    if np.any(count < 4):
+    if (count < 4).any():
         raise DegenerateViews(
             f"A view has {int(count.min())} points; four or more that are not on one line are needed."
         )
     centroid = (points * used[..., None, :]).sum(axis=-1) / count[..., None]
     centred = points - centroid[..., None]
     squares = centred * centred * used[..., None, :]
-    xx, yy = np.moveaxis(squares.sum(axis=-1), -1, 0)
+    sums = squares.sum(axis=-1)
+    xx, yy = sums[..., 0], sums[..., 1]
     xy = (centred[..., 0, :] * centred[..., 1, :] * used).sum(axis=-1)
     largest = (xx + yy + np.hypot(xx - yy, 2 * xy)) / 2
-    if np.any(xx * yy - xy * xy <= (COLLINEAR * largest) ** 2):
+    if (xx * yy - xy * xy <= (COLLINEAR * largest) ** 2).any():
         raise DegenerateViews(
             "The points of a view are collinear; show a board with points in two directions, not edge-on."
         )

@@ -31,8 +31,6 @@ Array = NDArray[np.float64]
 State = TypeVar("State", bound=tuple[Array, ...])
 """A named tuple of arrays, each with the batch as its first axis."""
 
-INITIAL_DAMPING = 1e-3
-"""Relative to the diagonal of J'J; closed-form starts are near enough for almost Gauss-Newton steps."""
 LARGEST_DAMPING = 1e12
 """Beyond this a step no longer changes a double: the item cannot descend further."""
 
@@ -56,7 +54,7 @@ class NormalEquations(NamedTuple):
     groups : (B, V, L + S + 1, L + S + 1)
         [J_local, J_shared, r]' [J_local, J_shared, r] of each group; NaN where the state is not allowed.
     shared : (B, S + 1, S + 1)
-        [J, c]' [J, c] of the rows of variance 1.
+        [J, c]' [J, c] of the rows of variance 1, or a better second-order model of |c|^2 in its place.
     """
 
     groups: Array
@@ -119,11 +117,18 @@ class Tolerances:
         The same as a share of the cost.
     iterations : int
         Steps tried at most, accepted or not.
+    damping : float
+        Of the first step, relative to the diagonal of J'J; less where the start is near.
+    final_step : bool
+        Take the step that is too short to go on, without a look at where it leads: the equations of the
+        minimum are those before it.
     """
 
     decrease: float = 1e-20
     relative: float = 1e-14
     iterations: int = 200
+    damping: float = 1e-3
+    final_step: bool = False
 
 
 @dataclass(frozen=True)
@@ -205,12 +210,12 @@ def _minimise(
     v = problem.variance(equations.squares) + 0 * equations.squares
     size = len(v)
     final = _Final(tuple(part.copy() for part in start), NormalEquations(*(p.copy() for p in equations)), v)
-    stop, iterations = np.full(size, Stop.STALLED, dtype=np.int8), np.zeros(size, dtype=np.int64)
+    stop, iterations = np.full(size, int(Stop.STALLED), dtype=np.int8), np.zeros(size, dtype=np.int64)
     state, active = start, np.flatnonzero(np.isfinite(v))
     if len(active) < size:
         state, problem, v = take(start, active), problem.take(active), v[active]
         equations = take(equations, active)
-    damping, growth = np.full(len(active), INITIAL_DAMPING), np.full(len(active), 2.0)
+    damping, growth = np.full(len(active), tolerances.damping), np.full(len(active), 2.0)
     for iteration in range(tolerances.iterations + 1 if len(active) else 0):
         cost = equations.cost(v)
         shared, local, predicted = solve(equations, v, damping)
@@ -224,8 +229,11 @@ def _minimise(
             and converged[np.argmin(problem.objective(equations.squares, equations.shared_squares))]
         )
         if won or not going_on.all() or iteration == tolerances.iterations:
-            stop[active], iterations[active] = np.where(stalled, Stop.STALLED, converged), iteration
-            final.store(active, state, equations, v)
+            stop[active], iterations[active] = np.where(stalled, int(Stop.STALLED), converged), iteration
+            end = state
+            if tolerances.final_step:
+                end = problem.retract(state, shared * converged[:, None], local * converged[:, None, None])
+            final.store(active, end, equations, v)
             if won or iteration == tolerances.iterations or not going_on.any():
                 break
             left = np.flatnonzero(going_on)
@@ -245,9 +253,8 @@ def _minimise(
         damping, growth = _damp(better, decrease / predicted, damping, growth)
         v = problem.variance(equations.squares)
     # A State is a named tuple, which takes its parts one by one.
-    objective = np.nan_to_num(
-        whole.objective(final.equations.squares, final.equations.shared_squares), nan=np.inf
-    )
+    objective = whole.objective(final.equations.squares, final.equations.shared_squares)
+    objective = np.where(np.isnan(objective), np.inf, objective)
     return Minimum(type(start)(*final.state), final.equations, final.variance, objective, stop, iterations)
 
 
@@ -283,15 +290,14 @@ def solve(equations: NormalEquations, variance: Array, damping: Array) -> tuple[
     # All scaled to a unit diagonal, which spares half the digits.
     scale_local = _scale(groups)[:, :, :count, None]
     blocks = groups[:, :, :count, :count] * (scale_local * np.swapaxes(scale_local, -1, -2))
-    index = np.arange(max(count, size))
-    blocks[:, :, index[:count], index[:count]] = 1 + damping[:, None, None]
+    diagonal(blocks)[...] = 1 + damping[:, None, None]
     cross = groups[:, :, :count, count:] * scale_local
     eliminated = _solve(blocks, cross)  # (B, V, L, S + 1)
     gained = (np.swapaxes(cross, -1, -2) @ eliminated).sum(axis=1)
     scale = _scale(total)[:, :-1, None]
     reduced = (total - gained)[:, :-1] * scale
     H = reduced[:, :, :-1] * np.swapaxes(scale, -1, -2)
-    H[:, index[:size], index[:size]] += damping[:, None]
+    diagonal(H)[...] += damping[:, None]
     gradient = reduced[:, :, -1:]
     step = _solve(H, -gradient)
     predicted = gained[:, -1, -1] - (gradient * step).sum(axis=(1, 2))
@@ -308,10 +314,14 @@ def _damp(better: NDArray[np.bool_], gain: Array, damping: Array, growth: Array)
     return np.maximum(damping * kept, 1e-15), np.where(better, 2.0, 2 * growth)
 
 
+def diagonal(matrices: Array) -> Array:
+    """See the diagonals (..., S) of a contiguous array (..., S, S), to be written as well."""
+    return matrices.reshape(*matrices.shape[:-2], -1)[..., :: matrices.shape[-1] + 1]
+
+
 def _scale(matrices: Array) -> Array:
-    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
     # A column without any row to hold it keeps its value; any positive number does that.
-    scale: Array = 1 / np.sqrt(np.maximum(diagonal, 1e-200))
+    scale: Array = 1 / np.sqrt(np.maximum(diagonal(matrices), 1e-200))
     return scale
 
 

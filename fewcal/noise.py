@@ -76,6 +76,8 @@ class Noise(NamedTuple):
         z = 2 tau^2 n + 2 ln(s / s0) that is z e^z = 2 tau^2 n q / s0^2 e^(2 tau^2 n), Lambert's equation,
         solved for ln z by Newton's iteration.
         """
+        if not self.spread.any():
+            return self.median + 0 * squares
         strength = 2 * self.spread**2 * self.freedom / CORRELATION**2
         with np.errstate(divide="ignore"):
             c = np.log(strength * squares / (np.maximum(self.freedom, 1) * self.median**2)) + strength

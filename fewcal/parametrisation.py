@@ -8,13 +8,34 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .distortion import distort_scaled
+from .distortion import DEGREE, POLYNOMIAL, monomials
 
 Array = NDArray[np.float64]
 
 _EYE = np.eye(2)[:, :, None]
 _TANGENTIAL_SWAPPED = np.array([0, 1, 3, 2])
 """The paper's k1, k2, k3, k4 are k1, k2, p2, p1 of plumb_bob, and the other way round."""
+
+SHIFT = 3
+"""Columns by a shift of a point along x, y and z, which stand before those of the unknowns."""
+
+_POINT, _BY_X, _BY_Y = np.moveaxis(POLYNOMIAL.reshape(5, 3, 2, 13), 1, 0)
+
+
+def _scale_free_terms() -> Array:
+    """Terms (5, 12 * 2 * 13) of all columns of :meth:`ScaleFree.project` but the constant ones."""
+    terms = np.zeros((5, 12, 2, 13))
+    terms[:, 0], terms[:, 1] = _BY_X, _BY_Y
+    # A longer lens moves a point by x d/dx + y d/dy, a shift along the axis by as much to the other side.
+    terms[:, 3] = _POINT * DEGREE
+    terms[:, 2] = -terms[:, 3]
+    terms[:, 4, 1] = _POINT[:, 1]
+    terms[0, 7:11] = _POINT[1:]
+    terms[:, 11] = _POINT
+    return terms.reshape(5, -1)
+
+
+_SCALE_FREE = _scale_free_terms()
 
 
 class ScaleFree(NamedTuple):
@@ -86,42 +107,40 @@ class ScaleFree(NamedTuple):
             axis=-1,
         )
 
-    def project(self, rays: Array, theta: Array, by_theta: Array) -> tuple[Array, Array]:
+    def project(self, rays: Array, theta: Array, columns: Array) -> None:
         """Project and differentiate.
 
         In units of half the diagonal, where a focal length puts an undistorted point at rays / rc, the
-        coefficients of the distortion are a1, a2, b1 and b2 themselves.
+        coefficients of the distortion are a1, a2, b1 and b2 themselves. There every column is a polynomial of
+        the same few terms, so that one product gives them all.
 
         Parameters
         ----------
         rays : (B, V, 2, N)
             x / z and y / z.
         theta : (B, 8)
-        by_theta : (B, V, 8, 2, N), output
-            Derivative of the pixels by the unknowns.
-
-        Returns
-        -------
-        pixels : (B, V, 2, N)
-        by_rays : (B, V, 2, 2, N)
-            Derivative by x / z, then y / z, of both coordinates.
+        columns : (B, V, 3 + 8 + 1, 2, N), output
+            Derivative of the pixels by a shift of the point along x, y and z at unit depth, by the unknowns,
+            and the pixels themselves. Only the first two axes may have strides of their own.
         """
-        half = self.diagonal / 2
+        diagonal = self.diagonal
+        half = diagonal / 2
         fx, aspect = np.exp(theta[:, :2]).T
         before, after = np.empty((2, len(theta), 2))
         before[:] = fx[:, None] / half
         after[:] = half
         (before if self.in_pixels else after)[:, 1] *= aspect
-        distorted, by_rays, by_theta[:, :, 4:8] = distort_scaled(rays, theta[:, 4:8], before, after)
-        along = by_rays * rays[:, :, :, None]
-        np.add(along[:, :, 0], along[:, :, 1], out=by_theta[:, :, 0])
+        coefficients = np.ones((len(theta), 5))
+        coefficients[:, 1:] = theta[:, 4:]
+        terms = (coefficients @ _SCALE_FREE).reshape(-1, 12, 2, 13)
+        terms *= after[:, None, :, None]
+        terms[:, :2] *= before[:, :, None, None]
+        terms[:, 5, 0, 12] = terms[:, 6, 1, 12] = diagonal
+        terms[:, 11, :, 12] = self.centre + diagonal * theta[:, 2:4]
+        values = monomials(rays * before[:, None, :, None])
+        np.matmul(terms.reshape(-1, 1, 24, 13), values, out=columns.reshape(*columns.shape[:2], 24, -1))
         if self.in_pixels:
-            by_theta[:, :, 1] = along[:, :, 1]
-        else:
-            by_theta[:, :, 1, 0] = 0
-            by_theta[:, :, 1, 1] = distorted[:, :, 1]
-        by_theta[:, :, 2:4] = self.diagonal * _EYE
-        return distorted + (self.centre + self.diagonal * theta[:, 2:4])[:, None, :, None], by_rays
+            columns[:, :, 4] = columns[:, :, 1] * rays[:, :, 1:]
 
     def pixel_coefficients(self, theta: Array) -> Array:
         """(..., 4) k1, k2, k3, k4 of the paper's eqs 10-13 that the unknowns mean with `in_pixels`."""
@@ -148,21 +167,28 @@ class PixelModel(NamedTuple):
             return theta[..., 5:9]
         return np.concatenate([theta[..., 5:7], np.zeros_like(theta[..., 5:7])], axis=-1)
 
-    def project(self, rays: Array, theta: Array, by_theta: Array) -> tuple[Array, Array]:
+    def project(self, rays: Array, theta: Array, columns: Array) -> None:
         """Project and differentiate, as :meth:`ScaleFree.project` does."""
         fx, fy, _, _, skew = theta[:, :5].T[:, :, None, None]
         x, y = rays[:, :, 0], rays[:, :, 1]
         undistorted = np.stack([fx * x + skew * y, fy * y], axis=2)
-        coefficients = self.coefficients(theta)[:, _TANGENTIAL_SWAPPED]
-        one = np.ones((len(theta), 2))
-        distorted, by_uv, by_coefficients = distort_scaled(undistorted, coefficients, one, one)
-        by_theta[:, :, 0:2] = by_uv * rays[:, :, :, None]
-        by_theta[:, :, 2:4] = _EYE
-        by_theta[:, :, 4] = by_uv[:, :, 0] * y[:, :, None]
-        by_theta[:, :, 5:] = by_coefficients[:, :, _TANGENTIAL_SWAPPED[: self.size - 5]]
-        by_rays = by_uv * theta[:, None, :2, None, None]
-        by_rays[:, :, 1] += skew[:, :, None] * by_uv[:, :, 0]
-        return distorted + theta[:, None, 2:4, None], by_rays
+        coefficients = np.ones((len(theta), 5))
+        coefficients[:, 1:] = self.coefficients(theta)[:, _TANGENTIAL_SWAPPED]
+        terms = np.tensordot(coefficients, POLYNOMIAL, 1).reshape(-1, 1, 6, 13)
+        values = monomials(undistorted)
+        distorted, by_u, by_v = np.moveaxis(
+            (terms @ values).reshape(*rays.shape[:2], 3, *rays.shape[2:]), 2, 0
+        )
+        columns[:, :, 0] = fx[..., None] * by_u
+        columns[:, :, 1] = skew[..., None] * by_u + fy[..., None] * by_v
+        columns[:, :, 2] = -(columns[:, :, 0] * x[:, :, None] + columns[:, :, 1] * y[:, :, None])
+        of_theta = columns[:, :, SHIFT:-1]
+        of_theta[:, :, 0], of_theta[:, :, 1] = by_u * x[:, :, None], by_v * y[:, :, None]
+        of_theta[:, :, 2:4] = _EYE
+        of_theta[:, :, 4] = by_u * y[:, :, None]
+        by_coefficients = _POINT[1:][_TANGENTIAL_SWAPPED[: self.size - 5]].reshape(-1, 13) @ values
+        of_theta[:, :, 5:] = by_coefficients.reshape(of_theta[:, :, 5:].shape)
+        columns[:, :, -1] = distorted + theta[:, None, 2:4, None]
 
 
 Parametrisation: TypeAlias = ScaleFree | PixelModel

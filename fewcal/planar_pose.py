@@ -11,9 +11,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .closed_form import nearest_rotation
-
 Array = NDArray[np.float64]
+
+ROUNDING = 1e-15
+"""Below this the tilt of a board that faces the line of sight is rounding."""
+_BOTH = np.array([np.ones((3, 3)), [[1, 1, -1], [1, 1, -1], [-1, -1, 1]]])
+"""Signs by which the two rotations differ: both have the same first two rows and columns."""
 
 
 def planar_poses(H: Array, board_points: Array, rays: Array, weights: Array) -> tuple[Array, Array]:
@@ -42,11 +45,8 @@ def planar_poses(H: Array, board_points: Array, rays: Array, weights: Array) -> 
     with np.errstate(divide="ignore", invalid="ignore"):
         error = (X[..., :2, :] / X[..., 2:, :] - rays[..., None, :, :]) * weights[..., None, None, :]
     squares = (error * error).sum(axis=(-2, -1))
-    order = np.argsort(squares, axis=-1)
-    return (
-        np.take_along_axis(R, order[..., None, None], axis=-3),
-        np.take_along_axis(t, order[..., None], axis=-2),
-    )
+    swap = (squares[..., 0] > squares[..., 1])[..., None, None]
+    return np.where(swap[..., None], R[..., ::-1, :, :], R), np.where(swap, t[..., ::-1, :], t)
 
 
 def _rotations(H: Array) -> Array:
@@ -54,29 +54,30 @@ def _rotations(H: Array) -> Array:
     p = H[..., :2, 2]
     J = H[..., :2, :2] - p[..., :, None] * H[..., 2:, :2]
     # R_v turns the optical axis into the ray of the centroid.
-    ray = np.concatenate([p, np.ones_like(p[..., :1])], axis=-1)
-    ray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
-    R_v = _from_z_to(ray)
+    z = 1 / np.sqrt(1 + (p * p).sum(axis=-1))
+    R_v = _from_z_to(p[..., 0] * z, p[..., 1] * z, z)
     B = R_v[..., :2, :2] - p[..., :, None] * R_v[..., 2:, :2]
     A = np.linalg.solve(B, J)
-    gamma = np.linalg.svd(A, compute_uv=False)[..., :1, None]
-    R22 = A / np.where(gamma > 0, gamma, 1)
-    rest = np.eye(2) - np.swapaxes(R22, -1, -2) @ R22
-    first = np.sqrt(np.maximum(rest[..., 0, 0], 0))
-    second = np.sqrt(np.maximum(rest[..., 1, 1], 0)) * np.where(rest[..., 0, 1] < 0, -1.0, 1.0)
-    b = np.stack([first, second], axis=-1)
-    both = []
-    for sign in (1.0, -1.0):
-        columns = np.concatenate([R22, sign * b[..., None, :]], axis=-2)
-        third = np.cross(columns[..., 0], columns[..., 1])
-        both.append(R_v @ np.concatenate([columns, third[..., None]], axis=-1))
-    return nearest_rotation(np.stack(both, axis=-3))
+    square = np.swapaxes(A, -1, -2) @ A
+    xx, xy, yy = square[..., 0, 0], square[..., 0, 1], square[..., 1, 1]
+    gamma2 = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
+    # The third row b makes unit columns at right angles: b b' is what the first two rows lack of that.
+    xx, xy, yy = 1 - xx / gamma2, -xy / gamma2, 1 - yy / gamma2
+    larger = np.maximum(np.maximum(xx, yy), ROUNDING)
+    b = np.where(xx > yy, [larger, xy], [xy, larger]) / np.sqrt(larger)
+    columns = np.concatenate(
+        [A / np.sqrt(gamma2)[..., None, None], np.moveaxis(b, 0, -1)[..., None, :]], axis=-2
+    )
+    first, second = columns[..., 0], columns[..., 1]
+    third = first[..., [1, 2, 0]] * second[..., [2, 0, 1]] - first[..., [2, 0, 1]] * second[..., [1, 2, 0]]
+    one = np.concatenate([columns, third[..., None]], axis=-1)
+    both: Array = R_v[..., None, :, :] @ (one[..., None, :, :] * _BOTH)
+    return both
 
 
-def _from_z_to(ray: Array) -> Array:
+def _from_z_to(x: Array, y: Array, z: Array) -> Array:
     """Shortest rotation that takes the z axis to a unit vector with positive z."""
-    x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
-    R = np.empty((*ray.shape[:-1], 3, 3))
+    R = np.empty((*z.shape, 3, 3))
     R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = 1 - x * x / (1 + z), -x * y / (1 + z), x
     R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = R[..., 0, 1], 1 - y * y / (1 + z), y
     R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = -x, -y, z

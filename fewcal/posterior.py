@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .adjustment import Adjustment, Geometry, Rows
+from .adjustment import Rows
 from .board_bend import with_bend, with_bend_prior
 from .camera import Camera, project_jacobians
-from .constraints import PriorRows
 from .scale_mixture import Tails, moments
 
 Array = NDArray[np.float64]
@@ -69,20 +68,19 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
     )
 
 
-def camera_posterior(problem: Adjustment, geometry: Geometry, sigma: float, priors: PriorRows) -> Posterior:
+def camera_posterior(rows: Rows, points: Array, tails: Tails) -> Posterior:
     """What some views leave open of a camera and of the bend of their board.
 
     Parameters
     ----------
-    problem : Adjustment
-    geometry : Geometry
-        The estimate, a batch of one.
-    sigma : float
-        Standard deviation of an image point of weight 1, pixels.
-    priors : PriorRows
+    rows : Rows
+        At the estimate.
+    points : (V, 2, N)
+        Of the board, :attr:`ViewStack.points`, metres.
+    tails : Tails
+        The priors of the camera there.
     """
-    rows = with_bend(problem.rows(geometry, sigma), problem.views.points)
-    return posterior(rows, with_bend_prior(priors.tails(geometry.theta[0])))
+    return posterior(with_bend(rows, points), with_bend_prior(tails))
 
 
 def gaussian_covariance(rows: Rows) -> Array:

@@ -19,7 +19,9 @@ from .distortion import surely_invertible
 Array = NDArray[np.float64]
 
 
-_DIRECTIONS = 32
+_ANGLES = np.arange(32) * np.pi / 32
+_DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+"""In which an extent is looked at, (2, 32)."""
 
 
 @dataclass(frozen=True)
@@ -142,8 +144,7 @@ def extent(pixels: Array, image_size: tuple[int, int]) -> float:
     Unlike the box around them it does not grow when the board is turned in the image. The points are looked
     at from 32 directions, which see all but 0.1 % of it.
     """
-    angles = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
-    seen = np.ptp(pixels @ np.stack([np.cos(angles), np.sin(angles)]), axis=0).max()
+    seen = np.ptp(pixels @ _DIRECTIONS, axis=0).max()
     return float(seen) / math.hypot(*image_size)
 
 

@@ -57,7 +57,7 @@ exit codes:
 """
 
 _CALIBRATE = """
-Calibrate a camera from a recording, images, or a folder of images that show a chessboard.
+Calibrate a camera from a recording, images, or a folder of images that show a board.
 
 One view of a board tilted by 30 to 60 degrees is enough for a first answer, two tilted about different axes
 for a good one. The answer comes with error bars; when the views do not determine the camera, it says so.
@@ -68,7 +68,12 @@ examples:
   fewcal calibrate photo1.jpg photo2.jpg --board chessboard:9x6:0.025 --json
   fewcal calibrate coin.jpg --board points:coin.txt        with coin.pixels.txt beside coin.jpg
 
-The size of a board counts interior corners, where four squares meet: a board of 10x7 squares is 9x6.
+boards, lengths in metres:
+  chessboard:9x6:0.025                 interior corners (a board of 10x7 squares is 9x6), edge of a square
+  charuco:7x5:0.04:0.03:DICT_5X5_100   squares, edge of a square and of a marker, dictionary of OpenCV
+  aprilgrid:6x6:0.088:0.3:tag36h11     tags as Kalibr prints them, edge of a tag, gap as a share of it, family
+  circles:10x7:0.02                    circles, from one to the next
+  acircles:4x11:0.02                   circles in a row, rows, half the distance of two in a row
 """
 
 _BOARD = """

@@ -83,6 +83,7 @@ class Process:
         took = time.monotonic() - start
         for reader in self.readers:
             reader.join(TIMEOUT_S)
+        print(f"{' '.join(self.process.args)} ended with {code}:", *self.err)  # shown when the test fails
         return code, took
 
 
@@ -113,6 +114,7 @@ class Client:
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=domain)
         self.node = rclpy.create_node("robot_program", context=self.context)
+        self.services: dict[str, Any] = {}
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.diagnostics: list[DiagnosticArray] = []
@@ -128,7 +130,9 @@ class Client:
 
     def send(self, name: str, kind: Any = Trigger, request: Any = None) -> Any:
         """Call a service without waiting for the answer; returns its future."""
-        client = self.node.create_client(kind, f"/fewcal/{name}")
+        if name not in self.services:
+            self.services[name] = self.node.create_client(kind, f"/fewcal/{name}")
+        client = self.services[name]
         assert client.wait_for_service(TIMEOUT_S), name
         return client.call_async(request or kind.Request())
 

@@ -40,7 +40,6 @@ def test_columns_of_the_bend_against_differences() -> None:
         rows.by_camera[..., 8:], expected.reshape(len(POSES), -1, 2), rtol=1e-6, atol=1e-3
     )
     np.testing.assert_array_equal(rows.by_camera[..., :8], plain.by_camera)
-    np.testing.assert_array_equal(rows.prior_by_camera[:, 8:], 0)
 
 
 def test_prior_of_the_bend_comes_after_those_of_the_camera() -> None:

@@ -7,13 +7,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from board_pictures import BOARD, SIZE, picture, pose
+from board_pictures import BOARD, CAMERA, SIZE, picture, pose
 from marker_pictures import CHARUCO, errors, indices, marker_picture, needs_markers
 
 from fewcal.boards import Charuco, parse_board
 from fewcal.camera import Camera
 from fewcal.errors import BoardNotFound
-from fewcal.rendering import Conditions
+from fewcal.rendering import Conditions, clutter, render
 
 pytestmark = needs_markers
 
@@ -168,6 +168,14 @@ def test_a_bent_board_is_not_planar() -> None:
     assert error.reason in ("not planar", "no board", "cut off", "blurred")
 
 
+def test_a_board_among_clutter_is_found() -> None:
+    T = pose(CHARUCO, 45, 20, 40, 15)
+    image = render(CAMERA, SIZE, CHARUCO, T, background=clutter(SIZE, np.random.default_rng(1)))
+    found = CHARUCO.detect(image)
+    assert len(found.view) == 24
+    assert np.abs(errors(CHARUCO, found, CAMERA.project(CHARUCO.points, T))).max() < 0.05
+
+
 @pytest.mark.parametrize("deep", [1, 257])
 def test_deep_images_serve(deep: int) -> None:
     image, true = marker_picture(CHARUCO, 48, 20, 40, 15)
@@ -185,8 +193,9 @@ def test_deep_images_serve(deep: int) -> None:
         np.zeros((2, 900), np.uint8),
         np.zeros((20, 20000), np.uint8),
         picture(pose(BOARD, 30, 20, 40, 15))[0],
+        render(CAMERA, SIZE, None, None, background=clutter(SIZE, np.random.default_rng(3))),
     ],
-    ids=["black", "saturated", "noise", "one pixel", "two rows", "flat", "chessboard"],
+    ids=["black", "saturated", "noise", "one pixel", "two rows", "flat", "chessboard", "clutter"],
 )
 def test_where_no_board_is_none_is_found(image: Any) -> None:
     assert refusal(image).reason == "no board"

@@ -137,6 +137,37 @@ def test_jacobian_of_all_priors(focal_px: tuple[float, float] | None) -> None:
     assert_derivative(J, numeric, 3e-7)
 
 
+def random_cameras(spread: float) -> Array:
+    """(20, 8) unknowns, drawn so many scales about the middle of the priors."""
+    rng = np.random.default_rng(2)
+    scale = np.array([0.4, 0.0022, 0.0134, 0.0154, 0.11, 0.04, 0.0011, 0.0011])
+    middle = [math.log(1280 * 0.85), 0, 0, 0, -0.107, 0.0219, 0, 0]
+    return middle + spread * scale * rng.uniform(-1, 1, (20, 8))
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.1, 1.0, 30.0])
+def test_the_quadratic_model_has_value_and_slope_of_the_rows(spread: float) -> None:
+    rows, theta = Priors().rows(1280), random_cameras(spread)
+    r, J = rows(theta)
+    model = rows.quadratic(theta)
+    np.testing.assert_allclose(model[:, 8, 8], (r * r).sum(axis=1), rtol=1e-12)
+    gradient = (r[:, None] @ J)[:, 0]
+    np.testing.assert_allclose(model[:, 8, :8], gradient, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(model, np.swapaxes(model, 1, 2), rtol=1e-12, atol=1e-9)
+
+
+def test_the_quadratic_model_has_the_curvature_of_the_density_near_the_middle() -> None:
+    rows, theta = Priors().rows(1280), random_cameras(0.05)
+    numeric = differences(lambda at: rows.quadratic(at)[:, 8, :8], theta, 1e-7)
+    assert_derivative(rows.quadratic(theta)[:, :8, :8], numeric, 1e-5)
+
+
+def test_the_quadratic_model_stays_convex_far_out() -> None:
+    hessian = Priors().rows(1280).quadratic(random_cameras(30.0))[:, :8, :8]
+    scale = np.sqrt(np.diagonal(hessian, axis1=1, axis2=2))
+    assert np.linalg.eigvalsh(hessian / scale[:, None] / scale[:, :, None]).min() > 0.01
+
+
 @pytest.mark.parametrize("column", range(8))
 def test_each_row_speaks_of_what_it_is_named_after(column: int) -> None:
     names = ["focal length", "aspect ratio", "principal point x", "principal point y"]

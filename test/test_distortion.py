@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from scenes import assert_derivative, differences
 
 from fewcal.distortion import (
+    DEGREE,
+    POLYNOMIAL,
     distort,
     distort_jacobians,
-    distort_scaled,
     fold_radius,
+    monomials,
     surely_invertible,
     undistort,
 )
@@ -86,23 +88,19 @@ def test_distort_jacobians(distortion: Array) -> None:
     assert_derivative(d_coefficients, differences(lambda at: distort(xy, at), distortion, 1e-6))
 
 
-def test_distort_scaled_is_distort_between_two_scales() -> None:
+def test_the_polynomial_is_distort_and_its_derivatives() -> None:
     rng = np.random.default_rng(7)
-    points, coefficients = rng.uniform(-1, 1, (2, 3, 2, POINTS)), rng.normal(size=(2, 4)) * 0.1
-    before, after = rng.uniform(0.5, 2, (2, 2, 2))
-    distorted, by_points, by_coefficients = distort_scaled(points, coefficients, before, after)
-    for b, v in np.ndindex(2, 3):
-        scaled, k = points[b, v].T * before[b], np.append(coefficients[b], 0.0)
-        d_points, d_coefficients = distort_jacobians(scaled, k)
-        np.testing.assert_allclose(distorted[b, v].T, distort(scaled, k) * after[b], rtol=1e-12)
-        expected = d_points * before[b] * after[b][:, None]
-        np.testing.assert_allclose(
-            np.moveaxis(by_points[b, v], -1, 0), np.swapaxes(expected, 1, 2), atol=1e-12
-        )
-        expected = d_coefficients[..., :4] * after[b][:, None]
-        np.testing.assert_allclose(
-            np.moveaxis(by_coefficients[b, v], -1, 0), np.swapaxes(expected, 1, 2), atol=1e-12
-        )
+    points, k = rng.uniform(-1, 1, (2, POINTS)), rng.normal(size=4) * 0.1
+    terms = np.tensordot(np.append(1, k), POLYNOMIAL, 1).reshape(3, 2, 13)
+    distorted, by_x, by_y = terms @ monomials(points)
+    with_k3 = np.append(k, 0.0)
+    d_points, d_coefficients = distort_jacobians(points.T, with_k3)
+    np.testing.assert_allclose(distorted.T, distort(points.T, with_k3), rtol=1e-12)
+    np.testing.assert_allclose(np.stack([by_x.T, by_y.T], axis=-1), d_points, atol=1e-12)
+    by_coefficients = POLYNOMIAL[1:, :2] @ monomials(points)
+    np.testing.assert_allclose(by_coefficients, d_coefficients[..., :4].T, atol=1e-12)
+    along = terms[0] * DEGREE @ monomials(points)
+    np.testing.assert_allclose(along, by_x * points[0] + by_y * points[1], atol=1e-12)
 
 
 @given(

@@ -136,6 +136,17 @@ def test_stop_at_a_small_decrease(tolerance: dict[str, float]) -> None:
     assert found.iterations[0] < ends(rosenbrock, [-1.2, 1.0], decrease=1e-20).iterations[0]
 
 
+def test_the_final_step_leads_nearer_to_the_minimum() -> None:
+    loose = {"decrease": 1e-4, "relative": 0.0}
+    without, found = (
+        minimise(Curve(rosenbrock), Unknowns(STARTS), Tolerances(**loose, final_step=taken))  # type: ignore[arg-type]
+        for taken in (False, True)
+    )
+    assert (np.abs(found.state.x - 1) <= np.abs(without.state.x - 1)).all()
+    assert np.abs(found.state.x - 1).max() < 0.1 * np.abs(without.state.x - 1).max()
+    np.testing.assert_array_equal(found.objective, without.objective)
+
+
 def test_a_race_ends_with_its_winner() -> None:
     alone = minimise(Curve(rosenbrock), Unknowns(STARTS[1:2]))
     race = minimise(Curve(rosenbrock), Unknowns(STARTS[1:4]), race=True)

@@ -9,6 +9,7 @@ from fewcal.errors import InvalidInput
 from fewcal.markers import (
     DICTIONARIES,
     check_dictionary,
+    find_board_markers,
     find_dictionary,
     find_markers,
     marker_bits,
@@ -75,3 +76,24 @@ def test_the_dictionary_of_other_markers_is_named() -> None:
     assert recognise(image, found.candidates) == "DICT_5X5_50"
     assert recognise(image, found.candidates[:0]) is None
     assert recognise(np.full_like(image, 128), found.candidates) is None
+
+
+@needs_markers
+def test_small_markers_are_looked_at_twice() -> None:
+    image, true = marker_picture(CHARUCO, 20, 20, 40, 10)
+    once = find_markers(image, CHARUCO.dictionary)
+    twice = find_board_markers(image, CHARUCO.dictionary, 1, CHARUCO.marker_count, 9.4)
+    assert len(once) < len(twice)
+    marker = int(twice.ids[0])
+    np.testing.assert_allclose(twice.corners[0].mean(axis=0), markers_at(true, marker), atol=1.0)
+    nothing = find_board_markers(np.full_like(image, 128), CHARUCO.dictionary, 1, CHARUCO.marker_count, 9.4)
+    assert len(nothing) == 0
+
+
+def markers_at(true: np.ndarray, marker: int) -> np.ndarray:
+    """Middle of a marker in the image, from the corners of the board next to it."""
+    away = np.linalg.norm(CHARUCO.points[:, :2] - CHARUCO.marker_corners[marker].mean(axis=0), axis=1)
+    near = np.argsort(away)[:8]
+    plane = np.column_stack([CHARUCO.points[near, :2], np.ones(8)])
+    affine, *_ = np.linalg.lstsq(plane, true[near], rcond=None)
+    return np.append(CHARUCO.marker_corners[marker].mean(axis=0), 1.0) @ affine

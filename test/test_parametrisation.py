@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scenes import assert_derivative, differences
 
 from fewcal.camera import Camera, project_pixel_model_jacobians
-from fewcal.parametrisation import Parametrisation, PixelModel, ScaleFree
+from fewcal.parametrisation import SHIFT, Parametrisation, PixelModel, ScaleFree
 
 Array = NDArray[np.float64]
 
@@ -25,10 +25,10 @@ PAPER = RNG.uniform(-1, 1, (2, 9)) * IN_PIXELS * [50, 50, 20, 20, 5, 1, 1, 1, 1]
 
 
 def projected(model: Parametrisation, rays: Array, theta: Array) -> tuple[Array, Array, Array]:
-    """Pixels, and their derivatives by the rays and by the unknowns."""
-    by_theta = np.full((*rays.shape[:2], model.size, *rays.shape[2:]), np.nan)
-    pixels, by_rays = model.project(rays, theta, by_theta)
-    return pixels, by_rays, by_theta
+    """Pixels, and their derivatives by a shift of the point at unit depth and by the unknowns."""
+    columns = np.full((*rays.shape[:2], SHIFT + model.size + 1, *rays.shape[2:]), np.nan)
+    model.project(rays, theta, columns)
+    return columns[:, :, -1], columns[:, :, :SHIFT], columns[:, :, SHIFT:-1]
 
 
 def points(rays: Array) -> Array:
@@ -86,13 +86,15 @@ def test_natural_jacobian() -> None:
     ],
 )
 def test_jacobians_of_the_projection(model: Parametrisation, theta: Array, steps: Array) -> None:
-    pixels, by_rays, by_theta = projected(model, RAYS, theta)
+    pixels, by_shift, by_theta = projected(model, RAYS, theta)
     assert pixels.shape == RAYS.shape
     for axis in range(2):
         step = np.zeros((2, 1))
         step[axis] = 1e-6
         ahead, back = (projected(model, RAYS + side * step, theta)[0] for side in (1, -1))
-        assert_derivative(by_rays[:, :, axis], (ahead - back) / 2e-6)
+        assert_derivative(by_shift[:, :, axis], (ahead - back) / 2e-6)
+    ahead, back = (projected(model, RAYS / (1 + side * 1e-6), theta)[0] for side in (1, -1))
+    assert_derivative(by_shift[:, :, 2], (ahead - back) / 2e-6)
     numeric = differences(lambda at: projected(model, RAYS, at)[0], theta, steps)
     assert_derivative(np.moveaxis(by_theta, 2, -1), numeric)
 

@@ -168,10 +168,11 @@ def test_determined_share_is_the_variance_that_the_data_removed() -> None:
 def test_an_estimate_leaves_more_open_than_its_curvature_says() -> None:
     views = stack_views(noisy(views_at((40.0, 20.0)), 0.2, 1))
     found = estimate_map(views, SIZE, Priors())
-    priors = Priors().rows(max(SIZE))
-    result = camera_posterior(found.adjustment, found.geometry, found.sigma, priors)
+    rows = found.adjustment.rows(found.geometry, found.sigma)
+    tails = Priors().rows(max(SIZE)).tails(found.geometry.theta[0])
+    result = camera_posterior(rows, views.points, tails)
     assert result.covariance.shape == (10, 10)
-    laplace = gaussian_covariance(found.adjustment.rows(found.geometry, found.sigma))
+    laplace = gaussian_covariance(rows)
     ratio = np.sqrt(np.diagonal(result.covariance)[:8] / np.diagonal(laplace))
     assert ((ratio > 1) & (ratio < 6)).all()
     # The tails of the priors add something to what the mean of their precisions leaves.

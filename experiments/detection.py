@@ -1,6 +1,6 @@
 """How well corners are located, beside OpenCV, on rendered images whose truth is known; a markdown table.
 
-    python experiments/detection.py [--small] [--trials 12]
+    python experiments/detection.py [--small] [--trials 8]
 
 A 9x6 chessboard, turned and placed at random, under one condition after the other; all else is that of a
 decent camera: tilt up to 40 deg, squares of 30 px, blur 0.7 px, noise 2 grey levels. Every detector sees the
@@ -260,7 +260,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--trials", type=int, default=12, help="images of each condition")
+    parser.add_argument("--trials", type=int, default=8, help="images of each condition")
     parser.add_argument("--small", action="store_true", help="three conditions, to see that it runs")
     parser.add_argument("--only", default="", help="conditions whose name holds this")
     options = parser.parse_args()

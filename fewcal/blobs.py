@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .saddle_points import MIN_CONTRAST, RANGE_PERCENT, Image
+from .saddle_points import RANGE_PERCENT, Image
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,9 @@ NEIGHBOURHOOD_PX = 25
 outer outline is as good; a larger square would not part the small discs of a tilted board."""
 BLUR_PX = 0.5
 """Gaussian blur before: takes noise out of the outlines, and leaves gaps of 2 px open."""
+MIN_DARKER = 0.05
+"""How much darker than that mean, as a share of the image's own range: 10 of 200 grey levels, above the noise
+of most cameras."""
 MIN_OUTLINE = 7
 """Pixels of the shortest outline: a disc of 3 px across."""
 MAX_FLATTENING = 6.0
@@ -74,7 +77,7 @@ def _outlines(image: Image) -> list[NDArray[np.int32]]:
         return []
     smooth = cv2.GaussianBlur(image, (0, 0), BLUR_PX)
     low, high = np.percentile(smooth[::_EVERY, ::_EVERY], RANGE_PERCENT)
-    least = max(1.0, MIN_CONTRAST / 2 * float(high - low))
+    least = max(1.0, MIN_DARKER * float(high - low))
     mean = cv2.blur(smooth, (NEIGHBOURHOOD_PX, NEIGHBOURHOOD_PX))
     dark = (cv2.subtract(mean, smooth) > least).astype(np.uint8)
     # Without their hierarchy, which takes seconds on some patterns; that of a hole runs the other way round.

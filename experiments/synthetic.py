@@ -4,8 +4,9 @@ Cameras come from the estimator's prior (:class:`fewcal.Priors`), or from one wh
 ratio are spread several times as wide. Corner errors come from one of :data:`ERRORS`:
 
 assumed
-    What the estimator believes (doc/estimator.md): errors of scatter s that four corners share, and on top
-    of them errors of min(0.3 px, 3 s) of which only the part that camera and poses absorb is kept.
+    What the estimator believes (doc/estimator.md): a bent board, a lens with a remainder, errors of scatter s
+    that four corners share, and on top of them errors of min(0.3 px, 3 s) of which only the part that camera
+    and poses absorb is kept.
 iid
     Independent errors of 0.03 to 0.3 px.
 real
@@ -31,6 +32,7 @@ import fewcal
 from fewcal.adjustment import rotation_from_vector
 from fewcal.boards import Chessboard
 from fewcal.constraints import Priors, StudentT
+from fewcal.departures import lens_remainder as radial_remainder
 from fewcal.distortion import fold_radius
 from fewcal.noise import ABSORBED, CORRELATION, MODEL_ERROR_PX
 from fewcal.parametrisation import ScaleFree
@@ -54,6 +56,8 @@ LARGE_BEND = 10 * BEND
 """Of a board that nobody took care of."""
 PRINT_ERROR, PRINT_STRETCH = 1e-4, 5e-4
 """Standard deviations: of a printed corner, in diagonals of the board, and of the print's aspect ratio."""
+LARGEST = 10.0
+"""Scales that neither a bend nor a remainder of the lens exceeds."""
 PRINT_SQUARES = 2.0
 """Distance in squares over which printing errors are alike."""
 SEVENTH, THIN_PRISM, UNEVEN = 0.008, 5e-4, 5e-4
@@ -164,9 +168,13 @@ def draw_scene(
 
 def assumed(scene: Scene, rng: np.random.Generator, far_out: float | None = None) -> list[fewcal.View]:
     """Errors as the estimator believes them to be; the scatter `far_out` deviations of its prior away."""
-    median, spread = Priors().corner_sigma_px
+    priors = Priors()
+    median, spread = priors.corner_sigma_px
     scatter = median * np.exp(spread * (rng.normal() if far_out is None else far_out))
-    exact = scene.pixels(scene.board.points)
+    bend = np.array([_draw(priors.board_bend, rng) for _ in range(2)])
+    exact = scene.pixels(_lifted(scene.board.points, bend.clip(-LARGEST * BEND, LARGEST * BEND)))
+    remainder = np.clip(_draw(priors.lens_remainder, rng), -LARGEST * SEVENTH, LARGEST * SEVENTH)
+    exact += remainder * radial_remainder(exact.swapaxes(1, 2), scene.size).swapaxes(1, 2)
     # The covariances of one corner with all others sum to 2 pi l^2 for errors alike over l squares.
     alike = smooth_field(scene.board, CORRELATION / np.sqrt(2 * np.pi))
     shared = scatter * alike @ rng.normal(size=exact.shape)
@@ -182,11 +190,9 @@ def iid(scene: Scene, rng: np.random.Generator) -> list[fewcal.View]:
 
 def real(scene: Scene, rng: np.random.Generator, bend: float = BEND) -> list[fewcal.View]:
     """Independent errors, a board neither flat nor printed exactly, and a lens beyond plumb_bob."""
-    points = scene.board.points
-    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
-    uv = (points[:, :2] - points[:, :2].mean(axis=0)) / (0.5 * np.ptp(points[:, :2], axis=0))
-    points[:, 2] += diagonal * (1 - uv**2) @ (bend * rng.standard_t(2, 2).clip(-10, 10))
-    askew = smooth_field(scene.board, PRINT_SQUARES) @ rng.normal(0, PRINT_ERROR, uv.shape)
+    points = _lifted(scene.board.points, bend * rng.standard_t(2, 2).clip(-LARGEST, LARGEST))
+    diagonal = float(np.linalg.norm(np.ptp(points[:, :2], axis=0)))
+    askew = smooth_field(scene.board, PRINT_SQUARES) @ rng.normal(0, PRINT_ERROR, (len(points), 2))
     points[:, :2] += diagonal * askew
     points[:, 0] *= 1 + rng.normal(0, PRINT_STRETCH)
     exact = scene.pixels(points)
@@ -282,6 +288,13 @@ def _lens_terms(at: Array) -> tuple[Array, Array]:
         (x * (x * x - y * y), y * (x * x - y * y)), (x * x * y, x * y * y),
     ]  # fmt: skip
     return tuple(np.array(terms).transpose(2, 1, 0).reshape(-1, len(terms)) for terms in (model, beyond))
+
+
+def _lifted(points: Array, bend: Array) -> Array:
+    """Points (N, 3) of a flat board, bent along either side by these shares of its diagonal."""
+    size = np.ptp(points[:, :2], axis=0)
+    uv = (points[:, :2] - points[:, :2].mean(axis=0)) / (size / 2)
+    return points + np.hypot(*size) * ((1 - uv**2) @ bend)[:, None] * [0, 0, 1]
 
 
 def _moved(camera: fewcal.Camera, index: int, step: float) -> fewcal.Camera:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .constraints import PriorRows
+from .departures import Departures
 from .least_squares import NormalEquations, Stop
 from .noise import Noise
 from .parametrisation import SHIFT, Parametrisation, ScaleFree
@@ -32,7 +33,7 @@ class Geometry(NamedTuple):
 
     Attributes
     ----------
-    theta : (B, S) camera unknowns
+    theta : (B, S) camera unknowns, and those of the departures where the adjustment has any
     rotation : (B, V, 3, 3) from the axes of the board's plane (`ViewStack.plane`) to the camera's
     position : (B, V, 3) of the centroid of the board's points in the camera frame, metres
     """
@@ -73,12 +74,15 @@ class Adjustment:
         The rows on the camera alone.
     noise : Noise, optional
         For each start; without it rows are pixels, of variance 1.
+    departures : Departures, optional
+        Of board and lens, whose coefficients are further unknowns of a scale-free camera.
     """
 
     views: ViewStack
     model: Parametrisation
     constraint: Constraint
     noise: Noise | None = None
+    departures: Departures | None = None
 
     def jacobian(self, state: Geometry) -> Array:
         """Linearise the reprojection of every point.
@@ -93,12 +97,16 @@ class Adjustment:
         theta, rotation, position = state
         board = self.views.points
         size = self.model.size
-        columns = np.empty((*rotation.shape[:2], POSE + size + 1, *board.shape[1:]))
+        columns = np.empty((*rotation.shape[:2], POSE + theta.shape[1] + 1, *board.shape[1:]))
         points = rotation[..., :2] @ board
         points += position[..., None]
+        if self.departures is not None:
+            lift = theta[:, None, None, size : size + 2] @ self.departures.lift  # (B, V, 1, N)
+            points += rotation[..., 2:] * lift
         depth = points[:, :, 2:]
         depth = np.where(depth > 0, depth, np.nan)
-        self.model.project(points[:, :, :2] / depth, theta, columns[:, :, POSE - SHIFT :])
+        camera = columns[:, :, POSE - SHIFT : POSE + size + 1]
+        self.model.project(points[:, :, :2] / depth, theta[:, :size], camera)
         turn, shift = columns[:, :, : POSE - SHIFT], columns[:, :, POSE - SHIFT : POSE]
         shift /= depth[:, :, None]
         # A turn w of the board moves its point p by R (w x p), and d . R (w x p) = w . (p x R'd).
@@ -111,6 +119,12 @@ class Adjustment:
         if isinstance(self.model, ScaleFree):
             # The boards keep their size in the image, see retract.
             columns[:, :, POSE] += shift[:, :, 2] * position[..., 2, None, None]
+        if self.departures is not None:
+            turn[:, :, 0] -= d[:, :, 1] * lift
+            turn[:, :, 1] += d[:, :, 0] * lift
+            columns[:, :, -1] = camera[:, :, -1] + theta[:, -1, None, None, None] * self.departures.shift
+            np.multiply(d[:, :, 2, None], self.departures.lift[:, :, None], out=columns[:, :, -4:-2])
+            columns[:, :, -2] = self.departures.shift
         columns[:, :, -1] -= self.views.pixels
         columns *= self.views.weights[:, None, None, :]
         return columns

@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from .adjustment import Estimate, Rows
 from .camera import Camera
 from .constraints import PRIOR_ROWS, PriorRows, Priors
+from .departures import COUNT
 from .errors import InvalidInput
 from .least_squares import Stop
 from .map_estimator import estimate_map
 from .noise import Noise
 from .parametrisation import PixelModel, ScaleFree
 from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
-from .posterior import NAMES, camera_posterior, determined_share, gaussian_covariance, projection_std
+from .posterior import NAMES, determined_share, gaussian_covariance, posterior, projection_std
 from .verdict import Evidence, Thresholds, Verdict, extent, judge, tilt_deg
 from .views import View, stack_views
 from .zhu2020 import estimate_zhang, estimate_zhu2020
@@ -61,6 +62,9 @@ class Calibration:
         Residual, in standard deviations, of each prior that the estimate contradicts.
     sigma_px : float
         Standard deviation of a point that the error bars rest on, pixels.
+    departures : (3,)
+        Bend of the board along x and along y, and remainder of the lens, as :class:`Priors` counts them. The
+        camera is the best one beside them; `view_rms` and `rms` are of the camera alone. Zero but for map.
     verdict : Verdict
     """
 
@@ -77,6 +81,7 @@ class Calibration:
     determined: dict[str, float] | None
     prior_conflicts: dict[str, float]
     sigma_px: float
+    departures: Array
     verdict: Verdict
 
     @property
@@ -186,13 +191,14 @@ class _Solution:
     pixel_distortion: Array
     skew: float
     sigma_px: float
+    departures: Array
     covariance: Array | None
     determined: dict[str, float] | None
     prior_conflicts: dict[str, float]
 
 
 def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
-    theta = found.geometry.theta[0]
+    theta = found.geometry.theta[0, : model.size]
     natural = model.natural(theta)
     if model.in_pixels:
         coefficients = model.pixel_coefficients(theta)
@@ -203,16 +209,17 @@ def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
         coefficients = from_plumb_bob(camera)
     known = found.adjustment.constraint
     assert isinstance(known, PriorRows)
-    result = camera_posterior(rows, found.adjustment.views.points, known.tails(theta))
+    result = posterior(rows, known.tails(found.geometry.theta[0]))
     J = model.natural_jacobian(theta)
     return _Solution(
         camera,
         coefficients,
         0.0,
         found.sigma,
+        found.geometry.theta[0, model.size :],
         J @ result.covariance[:8, :8] @ J.T,
         {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)[:8]).items()},
-        _worst_by_name(np.abs(rows.prior)),
+        _worst_by_name(np.abs(rows.prior[: model.size])),
     )
 
 
@@ -230,7 +237,7 @@ def _pixel_solution(
         known = np.isfinite(of_theta).all()
         covariance = J @ of_theta @ J.T * (sigma / found.sigma) ** 2 if known else np.full((8, 8), np.inf)
     camera = nearest_plumb_bob(theta[:5], coefficients, size)
-    return _Solution(camera, coefficients, float(theta[4]), sigma, covariance, None, {})
+    return _Solution(camera, coefficients, float(theta[4]), sigma, np.zeros(COUNT), covariance, None, {})
 
 
 def _worst_by_name(values: Array) -> dict[str, float]:
@@ -258,7 +265,7 @@ def _result(
     poses[:, :3, 3] = position - (rotation @ stack.centroid[..., None])[..., 0]
     poses[:, 3, 3] = 1
     counts = (stack.weights > 0).sum(axis=1)
-    squares = _squared_errors(rows, found.sigma, stack.weights)
+    squares = _squared_errors(rows, found.sigma, stack.weights, solution.departures)
     covariance = solution.covariance
     evidence = Evidence(
         rotations=rotation,
@@ -285,6 +292,7 @@ def _result(
         pixel_distortion=solution.pixel_distortion,
         skew=solution.skew,
         sigma_px=solution.sigma_px,
+        departures=solution.departures,
         covariance=covariance,
         determined=solution.determined,
         prior_conflicts={n: r for n, r in solution.prior_conflicts.items() if r > thresholds.conflict},
@@ -296,10 +304,14 @@ def _focal_std(covariance: Array, camera: Camera) -> float:
     return float(np.sqrt(covariance[0, 0])) / camera.fx
 
 
-def _squared_errors(rows: Rows, sigma: float, weights: Array) -> Array:
-    """Sum of squared distances between projected and observed points of each view, (V,), px^2."""
+def _squared_errors(rows: Rows, sigma: float, weights: Array, departures: Array) -> Array:
+    """Sum of squared distances between what the camera alone projects and what was observed, (V,), px^2.
+
+    To first order in the departures, which are small.
+    """
     pixels = sigma / np.where(weights > 0, weights, np.inf)
-    squares: Array = ((rows.r.reshape(len(weights), 2, -1) * pixels[:, None]) ** 2).sum(axis=(1, 2))
+    residuals = rows.r - rows.by_camera[..., rows.by_camera.shape[-1] - len(departures) :] @ departures
+    squares: Array = ((residuals.reshape(len(weights), 2, -1) * pixels[:, None]) ** 2).sum(axis=(1, 2))
     return squares
 
 

@@ -7,10 +7,10 @@ centres of all circles give the map f from the board to the image, a homography 
 
     x_u = x_d / (1 + lambda r_d^2)
 
-about the middle of the image, and the areas of the ellipses under it give the radius of the circles. Circles
-of that radius are carried through f, an ellipse is fitted to each in the way the image was fitted, and what
-its centre misses the image of the circle's centre by is taken off. A homography shows circles as exact
-ellipses, for which this is exact.
+about the middle of the image and a polynomial for the rest, and the areas of the ellipses under it give the
+radius of the circles. Circles of that radius are carried through f, an ellipse is fitted to each in the way
+the image was fitted, and what its centre misses the image of the circle's centre by is taken off. A
+homography shows circles as exact ellipses, for which this is exact.
 """
 
 from __future__ import annotations
@@ -20,10 +20,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .planarity import DIVISIONS, MIN_STRETCH, half_diagonals, homographies_of_plane, map_points
+from .planarity import (
+    DIVISIONS,
+    MIN_STRETCH,
+    half_diagonals,
+    homographies_of_plane,
+    map_points,
+    monomials,
+    supported_degree,
+)
 
 Array = NDArray[np.float64]
 
+POINTS_PER_TERM = 2.0
+"""Circles for each term of the polynomial: all of them are known to be right."""
 _ROUNDS = 3
 """Rounds of estimating the map from corrected centres; the third changes nothing that can be seen."""
 _REFINEMENTS = 3
@@ -46,19 +56,24 @@ class PlaneImage(NamedTuple):
         Middle of the image, pixels.
     half_diagonal : float
         Pixels.
+    degree : int
+        Of the polynomial, in the coordinates without distortion.
+    rest : (T, 2)
+        Its coefficients: what the division model leaves, half diagonals.
     """
 
     H: Array
     division: float
     middle: Array
     half_diagonal: float
+    degree: int
+    rest: Array
 
     def __call__(self, plane: Array) -> Array:
         """Pixels (..., 2) of points (..., 2) of the plane."""
         straight = map_points(self.H, plane)
-        r2 = np.sum(straight**2, axis=-1, keepdims=True)
-        shrink = 2 / (1 + np.sqrt(np.maximum(1 - 4 * self.division * r2, 0)))
-        return np.asarray(self.middle + self.half_diagonal * shrink * straight)
+        seen = _divided(straight, self.division) + monomials(straight, self.degree) @ self.rest
+        return np.asarray(self.middle + self.half_diagonal * seen)
 
 
 def fit_plane_image(plane: Array, pixels: Array, image_shape: tuple[int, ...]) -> PlaneImage:
@@ -76,13 +91,26 @@ def fit_plane_image(plane: Array, pixels: Array, image_shape: tuple[int, ...]) -
     divisions = DIVISIONS
     for _ in range(_REFINEMENTS):
         stretch = np.maximum(1 + divisions[:, None] * np.sum(found**2, axis=1), MIN_STRETCH)[..., None]
-        H = homographies_of_plane(plane, found / stretch)
-        missed = (map_points(H, plane) - found / stretch) * stretch
+        homographies = homographies_of_plane(plane, found / stretch)
+        missed = (map_points(homographies, plane) - found / stretch) * stretch
         best = int(np.argmin(np.sum(missed**2, axis=(1, 2))))
-        image = PlaneImage(H[best], float(divisions[best]), middle, half_diagonal)
+        H, division = homographies[best], float(divisions[best])
         step = divisions[1] - divisions[0]
-        divisions = divisions[best] + np.linspace(-step, step, len(divisions))
-    return image
+        divisions = division + np.linspace(-step, step, len(divisions))
+    straight = map_points(H, plane)
+    degree = supported_degree(len(plane), POINTS_PER_TERM)
+    terms = monomials(straight, degree)
+    scale = np.linalg.norm(terms, axis=0)
+    rest = (
+        np.linalg.lstsq(terms / scale, found - _divided(straight, division), rcond=None)[0] / scale[:, None]
+    )
+    return PlaneImage(H, division, middle, half_diagonal, degree, rest)
+
+
+def _divided(straight: Array, division: float) -> Array:
+    """Points (..., 2) without distortion through the division model, all in half diagonals."""
+    r2 = np.sum(straight**2, axis=-1, keepdims=True)
+    return np.asarray(straight * (2 / (1 + np.sqrt(np.maximum(1 - 4 * division * r2, 0)))))
 
 
 def circle_centres(

@@ -162,10 +162,6 @@ def _trim(lattice: Indices, least: float) -> Indices:
 
 def _locate(grey: GreyImage, grid: _Grid, plane: Array) -> Ellipses:
     """Ellipses at the scale that suits them; those that fail are looked for where the others put them."""
-    if _cut_off(grey, grid):
-        raise BoardNotFound(
-            "cut off", "Part of the board is beyond the border of the image; bring the whole board into it."
-        )
     for _ in range(_ATTEMPTS):
         ellipses = _refine(grey, grid)
         spacing = 2 * grid.reach * grid.radii[:, 0]
@@ -175,6 +171,12 @@ def _locate(grey: GreyImage, grid: _Grid, plane: Array) -> Ellipses:
         if not bad.any():
             break
         grid = _Grid(np.where(bad[:, None], ellipses.points - residuals, ellipses.points), grid.covariances)
+    _check(grey, grid, ellipses, misplaced)
+    return ellipses
+
+
+def _check(grey: GreyImage, grid: _Grid, ellipses: Ellipses, misplaced: NDArray[np.bool_]) -> None:
+    """Refuse a board of which not every circle is known to be right."""
     width = EDGE_WIDTH_PER_BLUR * float(np.median(ellipses.blur))
     across = 2 * float(np.median(grid.radii[:, 0]))
     if width > MAX_EDGE_SHARE * across:
@@ -183,19 +185,22 @@ def _locate(grey: GreyImage, grid: _Grid, plane: Array) -> Ellipses:
             f"The edges of the circles are {width:.1f} px wide and the circles {across:.1f} px; hold the "
             "board still, or focus.",
         )
+    if _beyond_border(grey, ellipses):
+        raise BoardNotFound(
+            "cut off", "Part of the board is beyond the border of the image; bring the whole board into it."
+        )
     if not ellipses.good.all():
         raise BoardNotFound(
             "cut off",
-            f"{int((~ellipses.good).sum())} of the {len(plane)} circles cannot be seen; uncover the whole "
-            "board and keep reflections off it.",
+            f"{int((~ellipses.good).sum())} of the {len(misplaced)} circles cannot be seen; uncover the "
+            "whole board and keep reflections off it.",
         )
     if misplaced.any():
         raise BoardNotFound(
             "not planar",
-            f"{int(misplaced.sum())} of the {len(plane)} circles are not where a flat board would show them; "
-            "hold the board flat and free of reflections.",
+            f"{int(misplaced.sum())} of the {len(misplaced)} circles are not where a flat board would show "
+            "them; hold the board flat and free of reflections.",
         )
-    return ellipses
 
 
 def _refine(grey: GreyImage, grid: _Grid) -> Ellipses:
@@ -227,10 +232,10 @@ def _refine_reduced(grey: GreyImage, grid: _Grid, factor: int) -> Ellipses:
     )
 
 
-def _cut_off(grey: GreyImage, grid: _Grid) -> bool:
+def _beyond_border(grey: GreyImage, ellipses: Ellipses) -> bool:
     """Whether any of the ellipses reaches beyond the border of the image."""
-    extent = 2 * np.sqrt(grid.covariances[:, [0, 1], [0, 1]])
-    return outside(grey.shape, np.concatenate([grid.points - extent, grid.points + extent]), 0)
+    extent = 2 * np.sqrt(ellipses.covariances[:, [0, 1], [0, 1]])
+    return outside(grey.shape, np.concatenate([ellipses.points - extent, ellipses.points + extent]), 0)
 
 
 def _not_found(grey: GreyImage, lattice: Array, pattern: Pattern) -> BoardNotFound:

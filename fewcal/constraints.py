@@ -144,6 +144,10 @@ class Priors:
         Of a1 = k1 rc^2 and a2 = k2 rc^4, with rc = half the diagonal / fx.
     tangential : Distribution
         Of b1 = p1 rc and b2 = p2 rc.
+    board_bend : Distribution
+        Of the board's bend along either side, as a share of its diagonal, see :mod:`fewcal.departures`.
+    lens_remainder : Distribution
+        Of the r^7 term of the lens, in half diagonals at the corner of the image.
     corner_sigma_px : (float, float)
         Median of the corner noise, pixels, and the standard deviation of its logarithm.
     """
@@ -155,6 +159,8 @@ class Priors:
     principal_point_y: Distribution = StudentT(3.0, 0.0154)
     radial: RadialPrior = RadialPrior()
     tangential: Distribution = StudentT(1.25, 0.0011)
+    board_bend: Distribution = StudentT(2.0, 5e-4)
+    lens_remainder: Distribution = StudentT(1.0, 0.008)
     corner_sigma_px: tuple[float, float] = (0.25, 1.0)
 
     def __post_init__(self) -> None:
@@ -184,13 +190,13 @@ class PriorRows:
 
     Attributes
     ----------
-    mean, whiten : (8,) and (8, 8)
+    mean, whiten : (11,) and (11, 11)
         z = whiten (theta - mean), for the mean of the radial terms at its reference focal length.
-    slope : (8,)
+    slope : (11,)
         Change of z with the clipped logarithm x of the focal length, see :class:`RadialPrior`.
     reference : float
         Of x, as a logarithm in pixels.
-    tail : (8,)
+    tail : (11,)
         1 / nu.
     """
 
@@ -211,13 +217,15 @@ class PriorRows:
             priors.principal_point_y,
             priors.tangential,
             priors.tangential,
+            priors.board_bend,
+            priors.lens_remainder,
         )
         mean, scale, nu = np.array([(d.mean, d.scale, d.nu) for d in single]).T[:, _SINGLE]
         mean[0] += math.log(width)
         mean[4:6], nu[4:6] = radial.intercept, radial.nu
         whiten = np.diag(1 / scale)
         whiten[4:6, 4:6] = np.linalg.inv(np.linalg.cholesky(np.array(radial.covariance)))
-        slope = np.zeros(8)
+        slope = np.zeros(len(mean))
         slope[4:6] = -whiten[4:6, 4:6] @ np.array(radial.slope)
         return cls(mean, whiten, slope, math.log(width) + math.log(radial.reference), 1 / nu)
 
@@ -226,17 +234,20 @@ class PriorRows:
 
         Parameters
         ----------
-        theta : (B, 8)
-            Scale-free camera: ln fx, ln(fy / fx), principal point offset in diagonals (x, y), a1, a2, b1, b2.
+        theta : (B, S)
+            Scale-free camera: ln fx, ln(fy / fx), principal point offset in diagonals (x, y), a1, a2, b1, b2;
+            with S = 11 also bend along x, bend along y and remainder of the lens.
 
         Returns
         -------
-        r : (B, 8), J : (B, 8, 8)
+        r : (B, S), J : (B, S, S)
             In the order of :data:`PRIOR_ROWS`.
         """
         z, by_theta = self._whitened(theta)
-        gain, bend = _student_gain(z * z @ _TOGETHER, self.tail, _DIMENSION)
-        by_z = (bend * z)[:, :, None] * z[:, None, :] * _TOGETHER
+        size = z.shape[1]
+        together = _TOGETHER[:size, :size]
+        gain, bend = _student_gain(z * z @ together, self.tail[:size], _DIMENSION[:size])
+        by_z = (bend * z)[:, :, None] * z[:, None, :] * together
         diagonal(by_z)[...] += gain
         return gain * z, by_z @ by_theta
 
@@ -250,55 +261,60 @@ class PriorRows:
 
         Parameters
         ----------
-        theta : (B, 8)
+        theta : (B, S)
 
         Returns
         -------
-        (B, 9, 9) symmetric: Hessian and gradient of half of it by `theta`; its value in the last place.
+        (B, S + 1, S + 1) symmetric: Hessian and gradient of half of it by `theta`; its value comes last.
         """
         z, by_theta = self._whitened(theta)
-        squares = z * z @ _TOGETHER
-        q = squares * self.tail
-        factor = 1 + _DIMENSION * self.tail
+        size = z.shape[1]
+        together, tail = _TOGETHER[:size, :size], self.tail[:size]
+        squares = z * z @ together
+        q = squares * tail
+        factor = 1 + _DIMENSION[:size] * tail
         slope = factor / (1 + q)
         safe = np.maximum(q, 1e-30)
         logarithm = np.log1p(safe) / safe
         along = np.maximum((1 - q) / (1 + q), STIFFNESS / ((1 + q) * logarithm))
-        by_z = (slope * (along - 1) * z / np.maximum(squares, 1e-300))[:, :, None] * z[:, None, :] * _TOGETHER
+        by_z = (slope * (along - 1) * z / np.maximum(squares, 1e-300))[:, :, None] * z[:, None, :] * together
         diagonal(by_z)[...] += slope
         transposed = np.swapaxes(by_theta, -1, -2)
-        model = np.empty((len(theta), 9, 9))
-        model[:, :8, :8] = transposed @ (by_z @ by_theta)
-        model[:, 8, :8] = model[:, :8, 8] = (transposed @ (slope * z)[:, :, None])[:, :, 0]
-        model[:, 8, 8] = (factor * logarithm * z * z).sum(axis=1)
+        model = np.empty((len(theta), size + 1, size + 1))
+        model[:, :-1, :-1] = transposed @ (by_z @ by_theta)
+        model[:, -1, :-1] = model[:, :-1, -1] = (transposed @ (slope * z)[:, :, None])[:, :, 0]
+        model[:, -1, -1] = (factor * logarithm * z * z).sum(axis=1)
         return model
 
     def tails(self, theta: Array) -> Tails:
-        """See the priors as normal ones of unknown precision, at one camera (8,)."""
+        """See the priors as normal ones of unknown precision, at one camera (S,)."""
         z, by_theta = self._whitened(theta[None])
+        group = _GROUP[: len(theta)]
         with np.errstate(divide="ignore"):
-            nu = 1 / self.tail[_FIRST]
-        return Tails(z[0], by_theta[0], _GROUP, nu)
+            nu = 1 / self.tail[_FIRST[: group[-1] + 1]]
+        return Tails(z[0], by_theta[0], group, nu)
 
     def _whitened(self, theta: Array) -> tuple[Array, Array]:
-        """Z of zero mean and unit scale (B, 8), and its derivative (B, 8, 8)."""
+        """Z of zero mean and unit scale (B, S), and its derivative (B, S, S)."""
+        size = theta.shape[1]
         x = theta[:, :1] - self.reference
-        z = (theta - self.mean) @ self.whiten.T + np.minimum(np.maximum(x, -1), 1) * self.slope
-        by_theta = np.empty((len(theta), 8, 8))
-        by_theta[:] = self.whiten
+        whiten, slope = self.whiten[:size, :size], self.slope[:size]
+        z = (theta - self.mean[:size]) @ whiten.T + np.minimum(np.maximum(x, -1), 1) * slope
+        by_theta = np.empty((len(theta), size, size))
+        by_theta[:] = whiten
         by_theta[:, 4:6, 0] = (np.abs(x) < 1) * self.slope[4:6]
         return z, by_theta
 
 
-_SINGLE = np.array([0, 1, 2, 3, 4, 4, 4, 5])
+_SINGLE = np.array([0, 1, 2, 3, 4, 4, 4, 5, 6, 6, 7])
 """Prior of each unknown among the single ones; the radial terms have their own."""
-_TOGETHER = np.eye(8)
+_TOGETHER = np.eye(11)
 """Which rows share one prior: the two radial terms do."""
 _TOGETHER[4:6, 4:6] = 1
 _DIMENSION = _TOGETHER.sum(axis=0)
-_GROUP = np.array([0, 1, 2, 3, 4, 4, 5, 6])
+_GROUP = np.array([0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9])
 """The distribution that each row belongs to."""
-_FIRST = np.array([0, 1, 2, 3, 4, 6, 7])
+_FIRST = np.array([0, 1, 2, 3, 4, 6, 7, 8, 9, 10])
 """The first row of each distribution."""
 
 PRIOR_ROWS = (

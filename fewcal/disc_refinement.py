@@ -41,6 +41,9 @@ _PARAMETERS = 10
 _LOWER, _UPPER = np.full((2, _PARAMETERS), [[-np.inf], [np.inf]])
 _LOWER[[2, 4]] = 1e-6  # both diagonal terms of S: no disc has a radius of 1000 px
 _LOWER[5], _UPPER[5] = MIN_BLUR_PX, MAX_BLUR_PX
+ENOUGH_PIXELS = 500
+"""Pixels near the edge that locate a large disc: twice as many would take a third off a sd of a few
+thousandths of a pixel."""
 MIN_Q = 0.1
 """Share of the radius about the centre in which distances from the edge mean nothing."""
 _TINY = np.float32(1e-6)
@@ -118,7 +121,9 @@ def _windows(
     """Pixels of each disc and of the white about it, or of them those near the edge."""
     semi_axis = np.sqrt(np.linalg.inv(shapes)[:, [0, 1], [0, 1]].max())
     radius = min(reach * semi_axis, semi_axis + band_px)
-    x, values, weights, _ = cut_windows(image, origin, math.ceil(radius) + 1)
+    near_edge = 2 * np.pi * semi_axis * 2 * min(band_px, semi_axis)
+    every = max(1, int(near_edge / ENOUGH_PIXELS)) if math.isfinite(band_px) else 1
+    x, values, weights, _ = cut_windows(image, origin, math.ceil(radius) + 1, every)
     u = x - offset.astype(np.float32)[..., None]
     along = shapes.astype(np.float32) @ u
     q_squared = np.einsum("nip,nip->np", u, along)

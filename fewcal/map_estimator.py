@@ -6,6 +6,7 @@ are found in one minimisation.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from .adjustment import Adjustment, Estimate, Geometry
 from .closed_form import simplified_intrinsics
 from .constraints import Priors
+from .departures import COUNT, Departures
 from .errors import DegenerateViews
 from .homography import homographies
 from .least_squares import (
@@ -98,8 +100,11 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
     noise = Noise.of(views, priors)
     problem = Adjustment(views, model, priors.rows(max(model.image_size)), noise)
     found = _contenders(problem.believing(noise.known()), _starts(views, model, priors))
+    # The departures of board and lens are too small to matter before.
+    problem = replace(problem, departures=Departures.of(views.points, views.pixels, model.image_size))
+    state = found.state._replace(theta=np.pad(found.state.theta, ((0, 0), (0, COUNT))))
     several = problem.believing(noise.repeat(len(found.objective)))
-    found = minimise(several, found.state, _FINE, race=True, equations=found.equations).best()
+    found = minimise(several, state, _FINE, race=True).best()
     scatter, objective = _ahead(problem, noise, found)
     if objective < found.objective[0] - WORTHWHILE:
         trusting = minimise(problem.believing(noise.known(TRUSTING_PX)), found.state, _ROUND)

@@ -5,6 +5,7 @@ markers -> those that lie as on the board -> where each corner must be -> corner
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -116,10 +117,12 @@ def _refine(grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array) -> t
     """Corners near known points of the board, and the side of the square there (R, C), pixels."""
     weights = np.full(len(plane), MARKER_WEIGHT)
     corners, square_px = _refine_once(grey, grid, plane, pixels, weights)
-    # Once more at least, from where the corners themselves say: it finds those that had no marker close by,
-    # and the perspective of each square is known better.
+    # Once more, from where the corners themselves say: it finds those that had no marker close by, and the
+    # perspective, which says where the markers in the squares are, is known better.
     for _ in range(1, _ROUNDS):
         before = corners.good
+        if before.all() and not math.isfinite(grid.squares.marker):
+            break
         corners, square_px = _refine_once(
             grey,
             grid,

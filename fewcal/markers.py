@@ -133,10 +133,10 @@ def recognise(grey: GreyImage, quads: Array, border_bits: int = 1) -> str | None
     """
     hits = dict.fromkeys(DICTIONARIES, 0)
     for size in {size for size, _ in DICTIONARIES.values()}:
-        codes = _read(grey, quads, size, border_bits)
+        codes = _read(grey, quads, size, border_bits).tolist()
         for name in hits:
             if DICTIONARIES[name][0] == size and hasattr(_ARUCO, name):
-                hits[name] = int(np.isin(codes, _codes(name)).sum())
+                hits[name] = sum(code in _codes(name) for code in codes)
     best = max(hits, key=lambda name: hits[name])  # of several that have them all the smallest comes first
     return best if hits[best] >= MIN_RECOGNISED else None
 
@@ -160,10 +160,11 @@ def _code(bits: NDArray[np.bool_]) -> Indices:
 
 
 @lru_cache(maxsize=len(DICTIONARIES))
-def _codes(name: str) -> Indices:
+def _codes(name: str) -> frozenset[int]:
     """Codes of all markers of a dictionary, each turned four ways."""
     bits = marker_bits(name, np.arange(DICTIONARIES[name][1]))
-    return np.concatenate([_code(np.rot90(bits, turn, axes=(1, 2))) for turn in range(4)])
+    turned = [_code(np.rot90(bits, turn, axes=(1, 2))) for turn in range(4)]
+    return frozenset(np.concatenate(turned).tolist())
 
 
 def find_board_markers(grey: GreyImage, name: str, border_bits: int, count: int, extent: float) -> Markers:

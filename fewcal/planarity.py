@@ -145,9 +145,20 @@ def map_points(H: Array, points: Array) -> Array:
 def _polynomial(points: Array) -> Array:
     """Monomials (L, N, T) of as high a degree as the number of points supports."""
     centred = points - points.mean(axis=1, keepdims=True)
-    x, y = np.moveaxis(centred / np.abs(centred).max(axis=(1, 2), keepdims=True), -1, 0)
+    extent = np.abs(centred).max(axis=(1, 2), keepdims=True)
+    return monomials(centred / extent, supported_degree(points.shape[1]))
+
+
+def supported_degree(count: int, points_per_term: float = POINTS_PER_TERM) -> int:
+    """Degree of a polynomial in two variables that so many points determine."""
     degree = 1
-    while degree < MAX_DEGREE and (degree + 2) * (degree + 3) / 2 * POINTS_PER_TERM <= x.shape[1]:
+    while degree < MAX_DEGREE and (degree + 2) * (degree + 3) / 2 * points_per_term <= count:
         degree += 1
+    return degree
+
+
+def monomials(points: Array, degree: int) -> Array:
+    """Products of powers (..., T) of the coordinates of points (..., 2), up to a degree."""
+    x, y = np.moveaxis(points, -1, 0)
     powers = [(i, k - i) for k in range(degree + 1) for i in range(k + 1)]
     return np.stack([x**i * y**j for i, j in powers], axis=-1)

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .adjustment import Rows
-from .board_bend import with_bend, with_bend_prior
 from .camera import Camera, project_jacobians
 from .scale_mixture import Tails, moments
 
@@ -66,21 +65,6 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
         np.swapaxes(J, -1, -2) @ J,
         prior.T @ (found.precision[:, None] * prior),
     )
-
-
-def camera_posterior(rows: Rows, points: Array, tails: Tails) -> Posterior:
-    """What some views leave open of a camera and of the bend of their board.
-
-    Parameters
-    ----------
-    rows : Rows
-        At the estimate.
-    points : (V, 2, N)
-        Of the board, :attr:`ViewStack.points`, metres.
-    tails : Tails
-        The priors of the camera there.
-    """
-    return posterior(with_bend(rows, points), with_bend_prior(tails))
 
 
 def gaussian_covariance(rows: Rows) -> Array:

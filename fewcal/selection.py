@@ -18,8 +18,9 @@ from .adjustment import Adjustment, Geometry
 from .calibration import Calibration
 from .camera import project_jacobians
 from .constraints import Priors
+from .departures import Departures
 from .parametrisation import ScaleFree
-from .posterior import camera_posterior
+from .posterior import posterior
 from .views import View, align_views, stack_views
 
 Array = NDArray[np.float64]
@@ -79,18 +80,19 @@ def information(calibration: Calibration, priors: Priors = Priors()) -> Informat
         Those it was made with.
     """
     model, camera = ScaleFree(calibration.image_size), calibration.camera
-    theta = model.theta(np.concatenate([camera.intrinsics, camera.distortion[:4]]))[None]
+    theta = model.theta(np.concatenate([camera.intrinsics, camera.distortion[:4]]))
     stack = stack_views(calibration.views)
     poses = np.stack(calibration.board_poses)
     rotation = poses[:, :3, :3]
     position = (rotation @ stack.centroid[..., None])[..., 0] + poses[:, :3, 3]
     known = priors.rows(max(calibration.image_size))
-    problem = Adjustment(stack, model, known)
-    geometry = Geometry(theta, (rotation @ stack.plane)[None], position[None])
-    rows = problem.rows(geometry, calibration.sigma_px)
-    found = camera_posterior(rows, stack.points, known.tails(theta[0]))
+    departures = Departures.of(stack.points, stack.pixels, model.image_size)
+    problem = Adjustment(stack, model, known, departures=departures)
+    unknowns = np.append(theta, calibration.departures)
+    geometry = Geometry(unknowns[None], (rotation @ stack.plane)[None], position[None])
+    found = posterior(problem.rows(geometry, calibration.sigma_px), known.tails(unknowns))
     spread = np.zeros_like(found.prior)
-    spread[:8, :8] = _spread(model, theta[0])
+    spread[:8, :8] = _spread(model, theta)
     return Information(found.views, found.prior, spread)
 
 

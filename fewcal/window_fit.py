@@ -26,6 +26,8 @@ FLOOR_PX = 0.0015
 larger, and accounted for with the view."""
 QUANTISATION = 1 / 12
 """Variance of rounding to whole grey levels: no image has less noise."""
+GOLDEN = 0.382
+"""Shift of a row against the one before that spreads pixels evenly, whatever share of them is taken."""
 _ITERATIONS = 14
 """Levenberg-Marquardt steps; 5 to 8 suffice from a good start."""
 _CONVERGED = 0.01
@@ -71,9 +73,14 @@ class WindowFit(NamedTuple):
     explained: Array
 
 
-def cut_windows(image: NDArray[np.generic], middles: Array, radius: int) -> Windows:
-    """Cut squares out of an image (H, W) about whole pixels (N, 2); what lies outside weighs nothing."""
+def cut_windows(image: NDArray[np.generic], middles: Array, radius: int, every: int = 1) -> Windows:
+    """Cut squares out of an image (H, W) about whole pixels (N, 2); what lies outside weighs nothing.
+
+    Of the pixels only one in `every` is taken, evenly spread.
+    """
     dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1].reshape(2, -1)
+    taken = (dx + max(1, round(GOLDEN * every)) * dy) % every == 0
+    dx, dy = dx[taken], dy[taken]
     column = middles[:, :1].astype(np.intp) + dx
     row = middles[:, 1:].astype(np.intp) + dy
     height, width = image.shape

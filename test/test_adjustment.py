@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from fewcal.adjustment import LARGEST_FOCAL_STEP, POSE, Adjustment, Geometry, rotation_from_vector
 from fewcal.boards import Chessboard
 from fewcal.constraints import Priors
+from fewcal.departures import Departures
 from fewcal.noise import Noise
 from fewcal.parametrisation import PixelModel, ScaleFree
 from fewcal.views import View, stack_views
@@ -48,6 +49,11 @@ CASES: list[tuple[Adjustment, Geometry, Array]] = [
         np.full(8, 1e-6),
     ),
     (
+        Adjustment(VIEWS, FREE, PRIORS, departures=Departures.of(VIEWS.points, VIEWS.pixels, SIZE)),
+        state(np.append([THETA, THETA + 0.01], [[2e-3, -5e-3, 0.02], [0, 0, 0]], axis=1)),
+        np.full(11, 1e-6),
+    ),
+    (
         Adjustment(VIEWS, PixelModel(tangential=True), none),
         state(np.stack([PAPER, PAPER * 1.02])),
         1e-2 * np.array([1, 1, 1, 1, 1, 1e-7, 1e-13, 1e-5, 1e-5]),
@@ -63,14 +69,14 @@ def residuals(problem: Adjustment, at: Geometry) -> Array:
 @pytest.mark.parametrize(("problem", "at", "step"), CASES)
 def test_jacobian_by_camera(problem: Adjustment, at: Geometry, step: Array) -> None:
     still = np.zeros((2, 2, 6))
-    zero = np.zeros((2, problem.model.size))
+    zero = np.zeros_like(at.theta)
     numeric = differences(lambda shared: residuals(problem, problem.retract(at, shared, still)), zero, step)
     assert_derivative(np.moveaxis(problem.jacobian(at)[:, :, POSE:-1], 2, -1), numeric)
 
 
 @pytest.mark.parametrize(("problem", "at", "step"), CASES)
 def test_jacobian_by_turn_and_shift_of_each_board(problem: Adjustment, at: Geometry, step: Array) -> None:
-    zero = np.zeros((2, problem.model.size))
+    zero = np.zeros_like(at.theta)
     numeric = differences(
         lambda local: residuals(problem, problem.retract(at, zero, local)), np.zeros((2, 2, 6)), 1e-6
     )
@@ -187,7 +193,7 @@ def test_rotation_from_vector(direction: tuple[float, float, float], angle: floa
 
 
 def test_steps_of_the_papers_focal_length_are_pixels_without_a_bound() -> None:
-    problem, at, _ = CASES[1]
+    problem, at, _ = CASES[2]
     shared = np.zeros((2, 9))
     shared[:, 0] = 300.0
     to = problem.retract(at, shared, np.zeros((2, 2, 6)))

@@ -60,7 +60,7 @@ def test_distortion_is_taken_off_but_for_a_few_hundredths(k1: float, tilt: float
     true = camera.project(SYMMETRIC.points, T)
     points, _ = circle_centres(SYMMETRIC.points[:, :2], centres, covariances, SIZE[::-1])
     before, after = (np.sqrt(np.mean((p - true) ** 2)) for p in (centres, points))
-    assert after < 0.01
+    assert after < 0.015
     assert after < 0.15 * before
 
 

@@ -42,7 +42,7 @@ def refusal(image: Any, board: CircleGrid | AsymmetricCircleGrid = SYMMETRIC) ->
     tilt=st.floats(0, 50),
     about=st.floats(0, 360),
     roll=st.floats(-180, 180),
-    span=st.floats(0.25, 0.55),
+    span=st.floats(0.25, 0.5),
     asymmetric=st.booleans(),
     radius_share=st.floats(0.22, 0.38),
 )

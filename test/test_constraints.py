@@ -129,10 +129,13 @@ def test_half_the_squared_radial_rows_are_the_negative_log_density(x: float, nu:
 def test_jacobian_of_all_priors(focal_px: tuple[float, float] | None) -> None:
     rng = np.random.default_rng(1)
     priors = Priors(focal_px=focal_px)
-    spread = np.array([0.4, 0.01, 0.05, 0.05, 0.2, 0.1, 0.005, 0.005])
-    theta = rng.normal(size=(20, 8)) * spread
+    spread = np.array([0.4, 0.01, 0.05, 0.05, 0.2, 0.1, 0.005, 0.005, 0.001, 0.001, 0.02])
+    theta = rng.normal(size=(20, 11)) * spread
     theta[:, 0] += math.log(1000)
-    _, J = priors.rows(1280)(theta)
+    r, J = priors.rows(1280)(theta)
+    without = priors.rows(1280)(theta[:, :8])
+    np.testing.assert_allclose(without[0], r[:, :8], rtol=1e-12)
+    np.testing.assert_allclose(without[1], J[:, :8, :8], rtol=1e-12)
     numeric = differences(lambda at: priors.rows(1280)(at)[0], theta, 1e-5 * spread)
     assert_derivative(J, numeric, 3e-7)
 
@@ -183,11 +186,14 @@ def test_each_row_speaks_of_what_it_is_named_after(column: int) -> None:
 
 
 def test_tails_are_the_rows_before_the_gain_of_their_heavy_tails() -> None:
-    theta = np.array([6.8, 0.004, 0.03, -0.02, -0.3, 0.2, 0.004, -0.001])
+    theta = np.array([6.8, 0.004, 0.03, -0.02, -0.3, 0.2, 0.004, -0.001, 7e-4, -2e-4, 0.01])
     rows = Priors().rows(1280.0)
     tails = rows.tails(theta)
-    np.testing.assert_array_equal(tails.nu, [np.inf, 2, 3, 3, 2.5, 1.25, 1.25])
-    np.testing.assert_array_equal(tails.group, [0, 1, 2, 3, 4, 4, 5, 6])
+    np.testing.assert_allclose(tails.nu, [np.inf, 2, 3, 3, 2.5, 1.25, 1.25, 2, 2, 1])
+    np.testing.assert_array_equal(tails.group, [0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9])
+    alone = rows.tails(theta[:8])
+    np.testing.assert_array_equal(alone.z, tails.z[:8])
+    np.testing.assert_array_equal(alone.nu, tails.nu[:7])
     assert_derivative(tails.by_unknowns, differences(lambda x: rows.tails(x).z, theta, 1e-6), 1e-6)
     r, _ = rows(theta[None])
     together = np.bincount(tails.group, tails.z**2)
@@ -211,7 +217,7 @@ def test_priors_can_be_replaced_one_by_one() -> None:
         if field.name in ("focal_px", "corner_sigma_px", "radial"):
             continue
         own = replace(Priors(), **{field.name: Normal(0.1, 0.2)})
-        differs = own.rows(1280)(np.zeros((1, 8)))[0] != Priors().rows(1280)(np.zeros((1, 8)))[0]
+        differs = own.rows(1280)(np.zeros((1, 11)))[0] != Priors().rows(1280)(np.zeros((1, 11)))[0]
         assert 1 <= differs.sum() <= 2, field.name
 
 

@@ -98,7 +98,7 @@ def test_the_estimate_is_a_minimum_at_its_own_noise(count: int, sigma: float) ->
     cost = problem.linearise(at).cost(variance)[0]
     rng = np.random.default_rng(8)
     for _ in range(20):
-        shared, local = rng.normal(scale=1e-3, size=(1, 8)), rng.normal(scale=1e-5, size=(1, count, 6))
+        shared, local = rng.normal(scale=1e-3, size=(1, 11)), rng.normal(scale=1e-5, size=(1, count, 6))
         nearby = problem.retract(at, shared, local)
         assert problem.linearise(nearby).cost(variance)[0] > cost
 
@@ -106,7 +106,7 @@ def test_the_estimate_is_a_minimum_at_its_own_noise(count: int, sigma: float) ->
 def test_the_true_camera_is_no_better_than_the_estimate() -> None:
     stack = stack_views(noisy(views_at(*TILTS[:2]), 0.3, 9))
     found = estimate_map(stack, SIZE, Priors())
-    truth = Geometry(THETA[None], *geometry([pose(*tilt) for tilt in TILTS[:2]]))
+    truth = Geometry(np.append(THETA, np.zeros(3))[None], *geometry([pose(*tilt) for tilt in TILTS[:2]]))
     objective = [
         found.adjustment.objective(e.squares, e.shared_squares)[0]
         for e in map(found.adjustment.linearise, (found.geometry, truth))

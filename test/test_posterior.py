@@ -14,7 +14,6 @@ from fewcal.map_estimator import estimate_map
 from fewcal.posterior import (
     NAMES,
     Posterior,
-    camera_posterior,
     camera_rows,
     covariance_from_rows,
     determined_share,
@@ -169,11 +168,10 @@ def test_an_estimate_leaves_more_open_than_its_curvature_says() -> None:
     views = stack_views(noisy(views_at((40.0, 20.0)), 0.2, 1))
     found = estimate_map(views, SIZE, Priors())
     rows = found.adjustment.rows(found.geometry, found.sigma)
-    tails = Priors().rows(max(SIZE)).tails(found.geometry.theta[0])
-    result = camera_posterior(rows, views.points, tails)
-    assert result.covariance.shape == (10, 10)
+    result = posterior(rows, Priors().rows(max(SIZE)).tails(found.geometry.theta[0]))
+    assert result.covariance.shape == (11, 11)
     laplace = gaussian_covariance(rows)
-    ratio = np.sqrt(np.diagonal(result.covariance)[:8] / np.diagonal(laplace))
+    ratio = np.sqrt(np.diagonal(result.covariance) / np.diagonal(laplace))
     assert ((ratio > 1) & (ratio < 6)).all()
     # The tails of the priors add something to what the mean of their precisions leaves.
     typical = inverse(result.prior + result.views.sum(axis=0))

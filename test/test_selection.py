@@ -49,7 +49,7 @@ def test_projection_std_of_all_views_is_that_of_the_calibration() -> None:
     scale = 1 / np.sqrt(np.diagonal(total))
     covariance = np.linalg.inv(total * scale[:, None] * scale) * scale[:, None] * scale
     # The first unknown is the logarithm of the focal length; the tails of the priors are averaged over here.
-    assert np.sqrt(covariance[0, 0]) == pytest.approx(found.focal_std, rel=0.03)
+    assert np.sqrt(covariance[0, 0]) == pytest.approx(found.focal_std, rel=0.1)
     # The calibration gives the worst direction in the image, the mean is over both.
     w, h = SIZE
     grid = np.stack(np.meshgrid(np.linspace(0, w - 1, 9), np.linspace(0, h - 1, 9)), axis=-1).reshape(-1, 2)

@@ -60,6 +60,15 @@ def test_bounds_hold() -> None:
     assert fit.parameters[:, 2].max() <= 70
 
 
+@pytest.mark.parametrize("every", [1, 2, 3, 4, 5, 7, 8, 13])
+def test_pixels_are_left_out_evenly(every: int) -> None:
+    windows = cut_windows(np.zeros((99, 99)), np.array([[49.0, 49.0]]), 30, every)
+    assert windows.x.shape[1] == pytest.approx(61**2 / every, rel=0.02)
+    distance = np.linalg.norm(windows.x[:, :, None] - windows.x[:, None], axis=0)
+    np.fill_diagonal(distance, np.inf)
+    assert distance.min() > 0.7 * np.sqrt(every)
+
+
 def test_what_lies_outside_the_image_weighs_nothing() -> None:
     image = np.arange(30, dtype=np.uint8).reshape(5, 6)
     windows = cut_windows(image, np.array([[0.0, 0.0], [3.0, 2.0]]), 1)

@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import BOARD, CAMERA, SIZE, noisy, pose
+
+import fewcal
+from fewcal.constraints import Normal, Priors
+from fewcal.departures import Departures, lens_remainder, lifts
+
+Array = NDArray[np.float64]
+
+NONE = Normal(0.0, 1e-9)
+FLAT = Priors(board_bend=NONE, lens_remainder=NONE)
+POSES = [pose(40, 20), pose(25, 110), pose(35, 240, span=0.7)]
+
+
+def bent_views(bend: tuple[float, float]) -> list[fewcal.View]:
+    """Views of a board that is lifted by these shares of its diagonal along its sides."""
+    points = (BOARD.points - BOARD.points.mean(axis=0))[:, :2].T[None]
+    lift = np.array(bend) @ lifts(points)[0]
+    bent = BOARD.points + lift[:, None] * [0, 0, 1]
+    return [fewcal.View(BOARD.points, CAMERA.project(bent, T)) for T in POSES]
+
+
+def test_a_bend_lifts_the_edges_by_its_share_of_the_diagonal() -> None:
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(-0.4, 0.4, 9), np.linspace(-0.3, 0.3, 7)))
+    lift = lifts(np.stack([x, y])[None])[0]
+    np.testing.assert_allclose(lift, [(x / 0.4) ** 2, (y / 0.3) ** 2], atol=1e-12)
+    part = np.abs(x) < 0.25
+    both = lifts(np.stack([[x, y], [np.where(part, x, 0), np.where(part, y, 0)]]))
+    np.testing.assert_allclose(both[1, :, part].T, lift[:, part], err_msg="the largest view sets the scale")
+
+
+@pytest.mark.parametrize("size", [(640, 480), (1920, 1080)])
+def test_no_camera_of_the_model_takes_the_remainder_over(size: tuple[int, int]) -> None:
+    half = np.hypot(*size) / 2
+    grid = np.stack(np.meshgrid(*(np.arange(4.5, length, 10) for length in size))).reshape(2, -1)
+    shift = lens_remainder(grid[None], size)[0] / half
+    at = (grid - (np.array(size)[:, None] - 1) / 2) / half
+    r = np.hypot(*at)
+    along = (shift * at).sum(axis=0)[r > 0] / r[r > 0]
+    r = r[r > 0]
+    np.testing.assert_allclose(np.hypot(*shift).max(), np.abs(along).max(), err_msg="it is radial")
+    for power in (1, 3, 5):
+        assert abs(along @ r**power) < 0.05 * np.linalg.norm(along) * np.linalg.norm(r**power)
+    others = np.linalg.lstsq(r[:, None] ** [1, 3, 5], along - r**7, rcond=None)
+    assert others[1].sum() < 1e-20, "apart from those powers it is r^7"
+
+
+def test_a_view_has_the_departures_of_its_points() -> None:
+    points, pixels = BOARD.points[None, :, :2].swapaxes(1, 2), np.full((1, 2, 54), 100.0)
+    found = Departures.of(points, pixels, SIZE)
+    np.testing.assert_array_equal(found.lift, lifts(points))
+    np.testing.assert_array_equal(found.shift, lens_remainder(pixels, SIZE))
+
+
+@pytest.mark.parametrize("bend", [(4e-3, 0.0), (-2e-3, 3e-3)])
+def test_a_bent_board_is_found_bent_and_no_longer_bends_the_camera(bend: tuple[float, float]) -> None:
+    views = noisy(bent_views(bend), 0.1, 3)
+    found, flat = fewcal.calibrate(views, SIZE), fewcal.calibrate(views, SIZE, priors=FLAT)
+    np.testing.assert_allclose(found.departures[:2], bend, atol=7e-4)
+    np.testing.assert_allclose(flat.departures, 0, atol=1e-6)
+    errors = [abs(answer.camera.fx / CAMERA.fx - 1) for answer in (found, flat)]
+    assert errors[0] < 0.3 * errors[1]
+    assert found.sigma_px < 0.7 * flat.sigma_px
+    assert found.rms > 2 * flat.sigma_px / 5, "the camera alone still misses a bent board"
+
+
+def test_a_flat_board_is_found_flat() -> None:
+    found = fewcal.calibrate(noisy(bent_views((0.0, 0.0)), 0.1, 4), SIZE)
+    assert np.abs(found.departures[:2]).max() < 5e-4
+
+
+@pytest.mark.parametrize("coefficient", [-0.03, 0.03])
+def test_the_remainder_of_a_lens_is_told_from_its_distortion(coefficient: float) -> None:
+    flat = bent_views((0.0, 0.0))
+    shifted = []
+    for view in flat:
+        shift = coefficient * lens_remainder(view.image_points.T[None], SIZE)[0].T
+        shifted.append(fewcal.View(view.object_points, view.image_points + shift))
+    found = fewcal.calibrate(shifted, SIZE)
+    wrong = fewcal.calibrate(shifted, SIZE, priors=FLAT)
+    corner = np.array([[5.0, 5.0]])
+    ray = CAMERA.unproject(corner)
+    error, without = (np.linalg.norm(answer.camera.project(ray) - corner) for answer in (found, wrong))
+    assert found.departures[2] == pytest.approx(coefficient, rel=0.3)
+    assert error < 0.5 * without
+
+
+@pytest.mark.parametrize("method", ["zhu2020", "zhang"])
+def test_the_other_methods_know_no_departures(method: str) -> None:
+    np.testing.assert_array_equal(fewcal.calibrate(bent_views((0.0, 0.0)), SIZE, method).departures, 0)

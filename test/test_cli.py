@@ -35,7 +35,7 @@ from write_recordings import (
 )
 
 import fewcal
-from fewcal.boards import Board
+from fewcal.boards import Board, parse_board, pose_ambiguity
 from fewcal_ros.cli import main
 
 BOARD = "chessboard:9x6:0.025"
@@ -669,7 +669,9 @@ def test_real_images(run: Any, name: str, select: str) -> None:
     board = f"chessboard:{SETS[name]}"
     result = run("calibrate", folder / "images", "--board", board, "--json", "--select", select)
     check_schema(result.content)
-    assert (result.code, result.err) == (0 if result.content["verdict"]["usable"] else 1, "")
+    assert result.code == (0 if result.content["verdict"]["usable"] else 1)
+    ambiguity = pose_ambiguity(parse_board(board))
+    assert result.err == (f"fewcal: {ambiguity}\n" if ambiguity else "")
     reference = json.loads((folder / "reference.json").read_text())["k4_fixK3"]["fx"]
     allowed = 4 * result.content["std"]["fx"] + 0.01 * reference
     assert abs(result.content["camera"]["fx"] - reference) < allowed

@@ -64,4 +64,6 @@ $(OLDEST)/.installed-test: $(DESCRIPTION) constraints-oldest.txt
 	$(make_venv)
 	@echo "Installing fewcal on its oldest dependencies into $(@D)"
 	@$(PIP) --constraint constraints-oldest.txt --editable '.[$(TEST_EXTRAS)]'
+	@# Ubuntu's OpenCV 4.6 has the contrib modules, and so the markers, which that of PyPI has from 4.7 on.
+	@$(PIP) --no-deps --force-reinstall opencv-contrib-python-headless==4.6.0.66
 	@touch $@

@@ -31,7 +31,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fewcal import BoardNotFound, Camera, Chessboard, detect
+from fewcal import Board, BoardNotFound, Camera, Chessboard, detect
 from fewcal.rendering import Conditions, render
 from fewcal.virtual_camera import board_pose
 
@@ -101,7 +101,7 @@ SMALL = tuple(case for case in CASES if case.name in ("usual", "blur 2.0 px", "s
 
 
 class Shot(NamedTuple):
-    """An image, where its corners are (54, 2), and directions (54, 2): outwards, and towards the light."""
+    """An image, where its corners are (N, 2), and directions (N, 2): outwards, and towards the light."""
 
     image: Image
     truth: Array
@@ -116,15 +116,17 @@ class Found(NamedTuple):
     sigma: Array | None = None
 
 
-def take(case: Case, rng: np.random.Generator) -> Shot:
-    """Render the board in a random pose."""
+def take(
+    case: Case, rng: np.random.Generator, board: Board = BOARD, unit_m: float = BOARD.square_size
+) -> Shot:
+    """Render a board in a random pose, `unit_m` of it as long as the case has its squares."""
     width = max(640, 16 * round(case.square_px))
     size = (width, round(0.75 * width))
     camera = barrel_camera(size, case.barrel)
-    centre = BOARD.points.mean(axis=0)[:2]
-    left, top, right, bottom = BOARD.draw().ink
+    centre = board.points.mean(axis=0)[:2]
+    left, top, right, bottom = board.draw().ink
     outline = np.array([[left, top, 0], [right, top, 0], [right, bottom, 0], [left, bottom, 0]])
-    distance = camera.fx * BOARD.square_size / case.square_px
+    distance = camera.fx * unit_m / case.square_px
     while True:
         about, roll = rng.uniform(0, 360), rng.uniform(-25, 25)
         T = board_pose(rng.uniform(*case.tilt_deg), about, roll, distance, centre)
@@ -134,8 +136,8 @@ def take(case: Case, rng: np.random.Generator) -> Shot:
             break
     light_deg = rng.uniform(0, 360)
     light = replace(case.light, light_deg=light_deg)
-    image = render(camera, size, BOARD, T, light, rng=rng, oversampling=OVERSAMPLING)
-    truth = camera.project(BOARD.points, T)
+    image = render(camera, size, board, T, light, rng=rng, oversampling=OVERSAMPLING)
+    truth = camera.project(board.points, T)
     outwards = truth - camera.intrinsics[2:]
     direction = np.array([np.cos(np.radians(light_deg)), np.sin(np.radians(light_deg))])
     return Shot(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,12 +49,8 @@ def detect_aprilgrid(
         Squares(known=border / square),
         REACH * board.pitch,
     )
-    fitting = largest_board(plane, own.corners, grid.reach)
-    if fitting.sum() < max(len(found), 2):
-        explanation = _explain(grey, board, found, int(fitting.sum()))
-        if explanation is not None:
-            raise explanation
-    return locate_board(grey, grid, plane[fitting], own.corners[fitting], source, stamp_ns)
+    explain = partial(_explain, grey, board, found)
+    return locate_board(grey, grid, plane, own.corners, len(found), explain, source, stamp_ns)
 
 
 def _explain(grey: GreyImage, board: AprilGrid, found: Markers, fitting: int) -> BoardNotFound | None:

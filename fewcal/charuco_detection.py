@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,12 +44,8 @@ def detect_charuco(
         Squares(gap, gap + border),
         REACH * board.square_size,
     )
-    fitting = largest_board(plane, own.corners, grid.reach)
-    if fitting.sum() < max(len(found), 2):
-        explanation = _explain(grey, board, found, int(fitting.sum()))
-        if explanation is not None:
-            raise explanation
-    return locate_board(grey, grid, plane[fitting], own.corners[fitting], source, stamp_ns)
+    explain = partial(_explain, grey, board, found)
+    return locate_board(grey, grid, plane, own.corners, len(found), explain, source, stamp_ns)
 
 
 def _explain(grey: GreyImage, board: Charuco, found: Markers, fitting: int) -> BoardNotFound | None:

@@ -6,6 +6,7 @@ markers -> those that lie as on the board -> where each corner must be -> corner
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,6 +68,8 @@ def locate_board(
     grid: CornerGrid,
     plane: Array,
     pixels: Array,
+    found: int,
+    explain: Callable[[int], BoardNotFound | None],
     source: str = "",
     stamp_ns: int | None = None,
 ) -> Detection:
@@ -78,6 +81,10 @@ def locate_board(
     grid : CornerGrid
     plane, pixels : (M, 4, 2)
         Corners of the markers on the board, metres, and in the image, to about a pixel.
+    found : int
+        Markers of the dictionary in the image, those that the board does not have among them.
+    explain : callable
+        Given how many markers lie as on the board, why it is no more of them; None when nothing is wrong.
     source, stamp_ns
         Kept in the view.
 
@@ -87,6 +94,8 @@ def locate_board(
         When there are too few corners, or the image is blurred, or they lie on no plane.
     """
     fitting = largest_board(plane, pixels, grid.reach)
+    if fitting.sum() < max(found, MIN_MARKERS) and (reason := explain(int(fitting.sum()))) is not None:
+        raise reason
     if fitting.sum() < MIN_MARKERS:
         raise BoardNotFound("no board", "Markers are to be seen, but no two of them lie as on the board.")
     corners, square_px = _refine(grey, grid, plane[fitting].reshape(-1, 2), pixels[fitting].reshape(-1, 2))

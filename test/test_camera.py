@@ -194,7 +194,8 @@ def test_pixel_model_of_square_pixels_is_plumb_bob(f: float, paper: tuple[float,
     np.testing.assert_allclose(
         project_pixel_model_jacobians(points, np.array([f, f, 640, 480, 0]), in_pixels).pixels,
         project(points, np.array([f, f, 640, 480]), np.array([K1, K2, p1, p2, 0])),
-        rtol=1e-12, atol=1e-11,
+        rtol=1e-12,
+        atol=1e-11,
     )
 
 

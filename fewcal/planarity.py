@@ -149,10 +149,10 @@ def _polynomial(points: Array) -> Array:
     return monomials(centred / extent, supported_degree(points.shape[1]))
 
 
-def supported_degree(count: int, points_per_term: float = POINTS_PER_TERM) -> int:
+def supported_degree(count: int) -> int:
     """Degree of a polynomial in two variables that so many points determine."""
     degree = 1
-    while degree < MAX_DEGREE and (degree + 2) * (degree + 3) / 2 * points_per_term <= count:
+    while degree < MAX_DEGREE and (degree + 2) * (degree + 3) / 2 * POINTS_PER_TERM <= count:
         degree += 1
     return degree
 
@@ -160,5 +160,8 @@ def supported_degree(count: int, points_per_term: float = POINTS_PER_TERM) -> in
 def monomials(points: Array, degree: int) -> Array:
     """Products of powers (..., T) of the coordinates of points (..., 2), up to a degree."""
     x, y = np.moveaxis(points, -1, 0)
-    powers = [(i, k - i) for k in range(degree + 1) for i in range(k + 1)]
-    return np.stack([x**i * y**j for i, j in powers], axis=-1)
+    terms = last = [np.ones_like(x)]
+    for _ in range(degree):
+        last = [*(x * term for term in last), y * last[-1]]
+        terms = terms + last
+    return np.stack(terms, axis=-1)

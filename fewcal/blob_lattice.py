@@ -101,20 +101,22 @@ def _crosses(blobs: Blobs, tree: cKDTree) -> Indices:
 def _grow(lattice: Indices, blobs: Blobs, tree: cKDTree) -> Indices:
     """Add rings of blobs where the lattice predicts them."""
     area = np.sqrt(np.linalg.det(blobs.covariances))
+    free = np.ones(len(area), dtype=bool)
+    free[lattice[lattice >= 0]] = False
     for _ in range(MAX_RINGS):
         wide = np.pad(lattice, 1, constant_values=-1)
         prediction, spacing = predict(np.where((wide >= 0)[..., None], blobs.points[wide], np.nan))
         rows, columns = np.nonzero((wide < 0) & np.isfinite(prediction[..., 0]))
         distance, nearest = (np.asarray(part) for part in tree.query(prediction[rows, columns]))
-        members = area[lattice[lattice >= 0]]
-        least, most = members.min() / MAX_AREA_RATIO, members.max() * MAX_AREA_RATIO
-        found = (distance < SNAP_SHARE * spacing[rows, columns]) & ~np.isin(nearest, lattice)
+        least, most = area[~free].min() / MAX_AREA_RATIO, area[~free].max() * MAX_AREA_RATIO
+        found = (distance < SNAP_SHARE * spacing[rows, columns]) & free[nearest]
         found &= (area[nearest] > least) & (area[nearest] < most)
         rows, columns, nearest = rows[found], columns[found], nearest[found]
         _, once = np.unique(nearest, return_index=True)
         if len(once) == 0:
             break
         wide[rows[once], columns[once]] = nearest[once]
+        free[nearest] = False
         lattice = crop(wide, wide >= 0)
     return lattice
 

@@ -15,6 +15,7 @@ In a mirror most grids look the same, and are found; asymmetric ones with an eve
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,7 +63,7 @@ class _Grid:
     points: Array
     covariances: Array
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """Half the distance between neighbours, in radii: median over the board."""
         step = self.points - self.points[:, None]
@@ -70,7 +71,7 @@ class _Grid:
         np.fill_diagonal(radii, np.inf)
         return float(np.median(radii.min(axis=1))) / 2
 
-    @property
+    @cached_property
     def radii(self) -> Array:
         """Smaller and larger semi-axes (N, 2), pixels."""
         return np.asarray(2 * np.sqrt(np.linalg.eigvalsh(self.covariances)))
@@ -221,7 +222,11 @@ def _refine(grey: GreyImage, grid: _Grid) -> Ellipses:
 def _refine_reduced(grey: GreyImage, grid: _Grid, factor: int) -> Ellipses:
     """Fit the ellipses in a reduced copy of the image; the answer is at full resolution."""
     found = refine_discs(
-        reduce(grey, factor), (grid.points + 0.5) / factor - 0.5, grid.covariances / factor**2, grid.reach
+        reduce(grey, factor),
+        (grid.points + 0.5) / factor - 0.5,
+        grid.covariances / factor**2,
+        grid.reach,
+        rough=factor > 1,
     )
     return Ellipses(
         (found.points + 0.5) * factor - 0.5,

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .saddle_points import Image
-from .window_fit import Pixels, Windows, cut_windows, fit_windows
+from .window_fit import Pixels, Windows, blurred_step, cut_windows, fit_windows
 
 Array = NDArray[np.float64]
 
@@ -44,6 +44,8 @@ _LOWER[5], _UPPER[5] = MIN_BLUR_PX, MAX_BLUR_PX
 ENOUGH_PIXELS = 500
 """Pixels near the edge that locate a large disc: twice as many would take a third off a sd of a few
 thousandths of a pixel."""
+ROUGH_PIXELS = 200
+"""Pixels of a disc that locate it to a few hundredths of a pixel."""
 MIN_Q = 0.1
 """Share of the radius about the centre in which distances from the edge mean nothing."""
 _TINY = np.float32(1e-6)
@@ -75,7 +77,12 @@ class Ellipses:
 
 
 def refine_discs(
-    image: Image, points: Array, covariances: Array, reach: float, band_px: float = math.inf
+    image: Image,
+    points: Array,
+    covariances: Array,
+    reach: float,
+    band_px: float = math.inf,
+    rough: bool = False,
 ) -> Ellipses:
     """Locate dark discs to sub-pixel accuracy.
 
@@ -92,13 +99,15 @@ def refine_discs(
     band_px : float
         Distance from the edge up to which pixels are looked at: all there is to see of a large disc that is
         nearly located.
+    rough : bool
+        Whether a few hundredths of a pixel will do, from fewer pixels.
     """
     origin = np.rint(points)
     shapes = np.linalg.inv(4 * covariances).astype(np.float64)
-    windows = _windows(image, origin, points - origin, shapes, min(MAX_REACH, reach), band_px)
-    p, sigma, explained = fit_windows(
-        _model, _initial(points - origin, shapes, windows), windows, _LOWER, _UPPER
-    )
+    offset, reach = points - origin, min(MAX_REACH, reach)
+    enough = ROUGH_PIXELS if rough else ENOUGH_PIXELS
+    windows = _windows(image, origin, offset, shapes, reach, band_px, enough)
+    p, sigma, explained = fit_windows(_model, _initial(offset, shapes, windows), windows, _LOWER, _UPPER)
     fitted = p[:, [2, 3, 3, 4]].reshape(-1, 2, 2)
     determinant = np.maximum(np.linalg.det(fitted), 1e-12)
     adjugate = p[:, [4, 3, 3, 2]].reshape(-1, 2, 2) * [[1, -1], [-1, 1]]
@@ -116,25 +125,25 @@ def refine_discs(
 
 
 def _windows(
-    image: Image, origin: Array, offset: Array, shapes: Array, reach: float, band_px: float
+    image: Image, origin: Array, offset: Array, shapes: Array, reach: float, band_px: float, enough: int
 ) -> Windows:
     """Pixels of each disc and of the white about it, or of them those near the edge."""
-    semi_axis = np.sqrt(np.linalg.inv(shapes)[:, [0, 1], [0, 1]].max())
-    radius = min(reach * semi_axis, semi_axis + band_px)
-    near_edge = 2 * np.pi * semi_axis * 2 * min(band_px, semi_axis)
-    every = max(1, int(near_edge / ENOUGH_PIXELS)) if math.isfinite(band_px) else 1
-    x, values, weights, _ = cut_windows(image, origin, math.ceil(radius) + 1, every)
+    squared = np.linalg.inv(shapes)
+    semi_axis = float(np.sqrt(squared[:, [0, 1], [0, 1]].max()))
+    outer, inner = min(reach * semi_axis, semi_axis + band_px), max(semi_axis - band_px, 0)
+    largest = np.pi * float(np.sqrt(np.linalg.det(squared).max()))
+    every = max(1, round(largest * (outer**2 - inner**2) / semi_axis**2 / enough))
+    x, values, weights, _ = cut_windows(image, origin, math.ceil(outer) + 1, every)
     u = x - offset.astype(np.float32)[..., None]
     along = shapes.astype(np.float32) @ u
     q_squared = np.einsum("nip,nip->np", u, along)
     weights *= q_squared < reach**2
-    if math.isinf(band_px):
-        return Windows(x, values, weights)
-    q = np.sqrt(q_squared)
-    distance = np.abs(q * (q - 1)) / np.sqrt(np.maximum(np.einsum("nip,nip->np", along, along), _TINY))
-    weights *= (distance < band_px) & (q > MIN_Q)
+    if math.isfinite(band_px):
+        q = np.sqrt(q_squared)
+        distance = np.abs(q * (q - 1)) / np.sqrt(np.maximum(np.einsum("nip,nip->np", along, along), _TINY))
+        weights *= (distance < band_px) & (q > MIN_Q)
     count = int(weights.sum(axis=1).max())
-    chosen = np.argpartition(-weights, count - 1, axis=1)[:, :count]
+    chosen = np.argsort(weights == 0, axis=1, kind="stable")[:, :count]
     values, weights = (np.take_along_axis(part, chosen, 1) for part in (values, weights))
     return Windows(x[:, chosen], values, weights)
 
@@ -146,8 +155,8 @@ def _initial(offset: Array, shapes: Array, windows: Windows) -> Array:
     p[:, :2] = offset
     p[:, 2:5] = shapes.reshape(-1, 4)[:, [0, 1, 3]]
     p[:, 5] = 1.0
-    p[:, 7] = 1.0
-    pattern, _ = _model(p.astype(np.float32), x)
+    u = np.moveaxis(x, 0, 1) - offset.astype(np.float32)[..., None]
+    pattern = np.sign(np.einsum("nip,nip->np", u, shapes.astype(np.float32) @ u) - 1)
     pixels = np.maximum(weights.sum(axis=1), 1)
     mean, mean_pattern = np.sum(weights * values, axis=1) / pixels, np.sum(weights * pattern, axis=1) / pixels
     varying = weights * (pattern - mean_pattern[:, None])
@@ -158,9 +167,6 @@ def _initial(offset: Array, shapes: Array, windows: Windows) -> Array:
 
 def _model(p: Pixels, x: Pixels) -> tuple[Pixels, Pixels]:
     """Brightness (N, P) and its derivatives (N, 10, P) by the parameters."""
-    # Imported here, since it takes longer than all of fewcal, and who has points already needs none of it.
-    from scipy.special import erf
-
     c_x, c_y, s_xx, s_xy, s_yy, blur, a, b, g_x, g_y = p.T[..., None]
     u, v = x[0] - c_x, x[1] - c_y
     along_u, along_v = s_xx * u + s_xy * v, s_xy * u + s_yy * v
@@ -168,10 +174,10 @@ def _model(p: Pixels, x: Pixels) -> tuple[Pixels, Pixels]:
     q = np.sqrt(np.maximum(u * along_u + v * along_v, np.float32(MIN_Q**2)))
     h = np.sqrt(np.maximum(along_u * along_u + along_v * along_v, _TINY))
     t = q * (q - 1) / (h * blur)
-    E = erf(t * np.float32(math.sqrt(0.5)))
+    E, by_t = blurred_step(t)
     light = 1 + g_x * u + g_y * v
     reflectance = a + b * E
-    by_t = b * light * np.exp(-0.5 * t * t) * np.float32(math.sqrt(2 / math.pi))
+    by_t *= b * light
     by_q, by_h = by_t * (2 * q - 1) / (h * blur * q), -by_t * t / (h * h)  # dq and dh still lack 1 / q, 1 / h
     J = np.empty((len(p), _PARAMETERS, x.shape[-1]), np.float32)
     J[:, 0] = -by_q * along_u - by_h * (s_xx * along_u + s_xy * along_v) - reflectance * g_x

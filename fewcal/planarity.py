@@ -34,6 +34,9 @@ POINTS_PER_TERM = 3.0
 """Corners for each term of the polynomial, so that it cannot follow single ones."""
 MAX_DEGREE = 5
 """Degree of the polynomial, as far as there are corners for it."""
+RIDGE = 1e-10
+"""Share of the trace added to the diagonal of the normal equations: terms that a narrow board cannot tell
+apart share what they have in common."""
 _ROUNDS = 4
 """Rounds of reweighting; the weights hardly change after three."""
 
@@ -110,7 +113,9 @@ def _residuals(board: Array, found: Array, square: Array) -> Array:
     weights = np.ones(stretch.shape)
     for _ in range(_ROUNDS):
         weighted = np.swapaxes(terms * weights[..., None], 1, 2)
-        fit = np.linalg.pinv(weighted @ terms, hermitian=True) @ (weighted @ (straight - flat))
+        normal = weighted @ terms
+        ridge = RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(terms.shape[2])
+        fit = np.linalg.solve(normal + ridge, weighted @ (straight - flat))
         residual = (straight - flat - terms @ fit) * stretch[..., None]
         relative = np.linalg.norm(residual, axis=2) / square
         width = np.maximum(2 * np.median(relative, axis=1, keepdims=True), 1e-4)

@@ -8,6 +8,7 @@ saturated: it says that the model is to be as bright or brighter, and nothing mo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ QUANTISATION = 1 / 12
 """Variance of rounding to whole grey levels: no image has less noise."""
 GOLDEN = 0.382
 """Shift of a row against the one before that spreads pixels evenly, whatever share of them is taken."""
+_TAIL = (0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429)
 _ITERATIONS = 14
 """Levenberg-Marquardt steps; 5 to 8 suffice from a good start."""
 _CONVERGED = 0.01
@@ -73,6 +75,22 @@ class WindowFit(NamedTuple):
     explained: Array
 
 
+def blurred_step(t: Pixels) -> tuple[Pixels, Pixels]:
+    """E = erf(t / sqrt 2), an edge between -1 and 1 blurred by a sd of 1, and its derivative.
+
+    To 6e-7, four times as fast as SciPy's (Abramowitz and Stegun, "Handbook of mathematical functions",
+    1964, 26.2.17).
+    """
+    distance = np.abs(t)
+    k = 1 / (1 + np.float32(0.2316419) * distance)
+    slope = np.exp(-0.5 * t * t) * np.float32(math.sqrt(2 / math.pi))
+    tail = k * np.float32(_TAIL[-1])
+    for coefficient in _TAIL[-2::-1]:
+        tail += np.float32(coefficient)
+        tail *= k
+    return np.copysign(1 - slope * tail, t), slope
+
+
 def cut_windows(image: NDArray[np.generic], middles: Array, radius: int, every: int = 1) -> Windows:
     """Cut squares out of an image (H, W) about whole pixels (N, 2); what lies outside weighs nothing.
 
@@ -111,8 +129,13 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
     for _ in range(_ITERATIONS):
         step = _solve(normal[moving], gradient[moving, :, None], damping[moving])[..., 0]
         noise = np.maximum(cost[moving] / np.maximum(pixels[moving], 1), QUANTISATION)
-        length = np.sum(step * gradient[moving], axis=1) / noise
         trial = np.clip(p[moving] + step, lower, upper)
+        # A step that changes nothing that matters is taken, and what it led to not looked at.
+        settled = np.sum(step * gradient[moving], axis=1) / noise < _CONVERGED
+        p[moving[settled]] = trial[settled]
+        moving, trial = moving[~settled], trial[~settled]
+        if len(moving) == 0:
+            break
         x = windows.x if windows.x.ndim == 2 else windows.x[:, moving]
         constants = tuple(each[moving] for each in windows.constants)
         taken = Windows(x, values[moving], weights[moving], constants)
@@ -123,9 +146,6 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
         p[done], cost[done] = trial[better], trial_cost[better]
         normal[done], gradient[done] = trial_normal[better], trial_gradient[better]
         pixels[done] = trial_pixels[better]
-        moving = moving[length > _CONVERGED]
-        if len(moving) == 0:
-            break
     count = np.maximum(weights.sum(axis=1), 1)
     mean = np.sum(weights * values, axis=1) / count
     variance = np.sum(weights * (values - mean[:, None]) ** 2, axis=1)

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fewcal.window_fit import Windows, cut_windows, fit_windows
+from fewcal.window_fit import Windows, blurred_step, cut_windows, fit_windows
 
 Pixels = NDArray[np.float32]
 
@@ -75,3 +77,11 @@ def test_what_lies_outside_the_image_weighs_nothing() -> None:
     assert windows.weights.sum(axis=1).tolist() == [4, 9]
     np.testing.assert_array_equal(windows.values[1].reshape(3, 3), image[1:4, 2:5])
     np.testing.assert_array_equal(windows.x[:, 0], [-1, -1])
+
+
+def test_a_blurred_step_is_the_error_function() -> None:
+    t = np.linspace(-9, 9, 1001)
+    step, slope = blurred_step(t.astype(np.float32))
+    assert step.dtype == slope.dtype == np.float32
+    np.testing.assert_allclose(step, [math.erf(each / math.sqrt(2)) for each in t], atol=1e-6)
+    np.testing.assert_allclose(slope, math.sqrt(2 / math.pi) * np.exp(-0.5 * t**2), atol=1e-6)

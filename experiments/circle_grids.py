@@ -50,8 +50,7 @@ class Printed:
         """Give the board's drawing with other radii."""
         drawing = self.board.draw()
         discs = drawing.discs.copy()
-        nearest = self.board.spacing * (1 if isinstance(self.board, CircleGrid) else math.sqrt(2))
-        discs[:, 2] = self.radius_share * nearest
+        discs[:, 2] = self.radius_share * self.board.nearest
         return replace(drawing, discs=discs)
 
 

@@ -34,7 +34,7 @@ from .reduction import SEARCHED_PX, reduce, reductions
 from .views import View
 
 if TYPE_CHECKING:
-    from .circle_grid import AsymmetricCircleGrid, CircleGrid
+    from .circle_grid import Circles
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -78,7 +78,7 @@ class _Grid:
 
 
 def detect_circles(
-    grey: GreyImage, board: CircleGrid | AsymmetricCircleGrid, source: str = "", stamp_ns: int | None = None
+    grey: GreyImage, board: Circles, source: str = "", stamp_ns: int | None = None
 ) -> Detection:
     """Find a whole circle grid, see :meth:`fewcal.Board.detect`."""
     pattern = board.pattern

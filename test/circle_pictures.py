@@ -32,10 +32,8 @@ class Printed:
 
     def draw(self) -> Drawing:
         drawing = self.board.draw()
-        nearest = self.board.spacing * (1 if self.board.pattern.all() else 2**0.5)
-        discs = np.column_stack(
-            [drawing.discs[:, :2], np.full(len(drawing.discs), self.radius_share * nearest)]
-        )
+        discs = drawing.discs.copy()
+        discs[:, 2] = self.radius_share * self.board.nearest
         return replace(drawing, discs=discs)
 
 

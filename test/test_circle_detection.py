@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import json
+import os
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -11,12 +14,16 @@ from board_pictures import pose as chessboard_pose
 from circle_pictures import ASYMMETRIC, BARREL, SYMMETRIC, picture, pose
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from no_board import NO_BOARD, no_board
 
 from fewcal.boards import AsymmetricCircleGrid, CircleGrid
+from fewcal.calibration import calibrate
 from fewcal.detection import detect, detect_board
 from fewcal.errors import BoardNotFound
-from fewcal.rendering import clutter, render
+from fewcal.rendering import clutter
+from fewcal.views import View
 
+REAL = os.environ.get("FEWCAL_REAL_DATA")
 KINDS = pytest.mark.parametrize("board", [SYMMETRIC, ASYMMETRIC], ids=str)
 
 
@@ -199,44 +206,16 @@ def test_circles_of_no_plane_are_refused() -> None:
     assert error.reason == "not planar"
 
 
-def nothing(name: str) -> Any:
-    rng = np.random.default_rng(3)
-    return {
-        "black": np.zeros((480, 640), np.uint8),
-        "saturated": np.full((480, 640, 3), 255, np.uint8),
-        "noise": rng.integers(0, 256, (480, 640)).astype(np.uint8),
-        "deep noise": rng.integers(0, 65536, (480, 640)).astype(np.uint16),
-        "one pixel": np.zeros((1, 1), np.uint8),
-        "two rows": rng.integers(0, 256, (2, 900)).astype(np.uint8),
-        "flat": rng.integers(0, 256, (20, 20000)).astype(np.uint8),
-        "narrow": rng.integers(0, 256, (20000, 20, 3)).astype(np.uint8),
-        "stripes": ((np.indices((480, 640))[0] // 8 % 2) * 255).astype(np.uint8),
-        "pixel checks": ((np.indices((480, 640)).sum(axis=0) % 2) * 255).astype(np.uint8),
-        "clutter": render(CAMERA, SIZE, None, None, background=clutter(SIZE, rng)),
-        "chessboard": chessboard_picture(chessboard_pose(BOARD, 40, 20, 30))[0],
-    }[name]
+@KINDS
+@pytest.mark.parametrize("name", NO_BOARD)
+def test_where_no_board_is_none_is_found(board: CircleGrid | AsymmetricCircleGrid, name: str) -> None:
+    assert refusal(no_board(name), board).reason == "no board"
 
 
 @KINDS
-@pytest.mark.parametrize(
-    "name",
-    [
-        "black",
-        "saturated",
-        "noise",
-        "deep noise",
-        "one pixel",
-        "two rows",
-        "flat",
-        "narrow",
-        "stripes",
-        "pixel checks",
-        "clutter",
-        "chessboard",
-    ],
-)
-def test_where_no_board_is_none_is_found(board: CircleGrid | AsymmetricCircleGrid, name: str) -> None:
-    assert refusal(nothing(name), board).reason == "no board"
+def test_a_chessboard_is_none(board: CircleGrid | AsymmetricCircleGrid) -> None:
+    image, _ = chessboard_picture(chessboard_pose(BOARD, 40, 20, 30))
+    assert refusal(image, board).reason == "no board"
 
 
 def test_small_circles_of_a_large_image_are_found() -> None:
@@ -245,3 +224,24 @@ def test_small_circles_of_a_large_image_are_found() -> None:
     large[300:780, 700:1340] = image
     found = detect(large, SYMMETRIC).image_points
     assert rms(found, either_way(found, true + np.array([700, 300]))) < 0.05
+
+
+@pytest.mark.skipif(not REAL, reason="FEWCAL_REAL_DATA is not set")
+def test_real_boards_are_found_and_explained_better_than_with_the_centres_of_opencv() -> None:
+    folder = Path(str(REAL)) / "sets" / "visp_circles"
+    meta = json.loads((folder / "meta.json").read_text())
+    board = CircleGrid(meta["board"]["cols"], meta["board"]["rows"], meta["board"]["spacing_m"])
+    reference = np.load(folder / "corners.npz")
+    ours, theirs = [], []
+    for view, name in enumerate(reference["names"].astype(str)):
+        ours.append(detect(cv2.imread(str(folder / "images" / name)), board))
+        found = ours[-1].image_points
+        grid = reference["img"][slice(*reference["view_ptr"][view : view + 2])].reshape(6, 6, 2)
+        turns = [np.rot90(grid, k).reshape(-1, 2) for k in range(4)]
+        theirs.append(View(board.points, min(turns, key=lambda turn: rms(found, turn))))
+        assert rms(found, theirs[-1].image_points) < 0.2
+        assert found[0].sum() < found[[5, 30, 35]].sum(axis=1).min()
+        assert np.linalg.det([found[1] - found[0], found[6] - found[0]]) > 0
+    assert len(ours) == 5
+    size = tuple(meta["image_size"])
+    assert calibrate(ours, size).rms < calibrate(theirs, size).rms

@@ -61,7 +61,7 @@ def find_lattices(blobs: Blobs) -> list[Indices]:
     for seed in seeds:
         if len(lattices) == MAX_LATTICES:
             break
-        if not taken[seed].any():
+        if not taken[seed[seed >= 0]].any():
             lattices.append(_grow(seed, blobs, tree))
             taken[lattices[-1][lattices[-1] >= 0]] = True
     return sorted(lattices, key=lambda lattice: -int((lattice >= 0).sum()))

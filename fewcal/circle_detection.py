@@ -85,7 +85,8 @@ def detect_circles(
     plane = np.argwhere(pattern)[:, ::-1].astype(np.float64)
     ellipses = _find_ellipses(grey, pattern, plane)
     points, _ = circle_centres(plane, ellipses.points, ellipses.covariances, grey.shape)
-    view = View(board.points, points, ellipses.sigma, source, stamp_ns)
+    sigma = np.hypot(ellipses.sigma, ellipses.covered)
+    view = View(board.points, points, sigma, source, stamp_ns)
     found = _Grid(ellipses.points, ellipses.covariances)
     spacing = 2 * found.reach * float(np.median(found.radii[:, 0]))
     return Detection(view, EDGE_WIDTH_PER_BLUR * float(np.median(ellipses.blur)), spacing)
@@ -186,7 +187,12 @@ def _check(grey: GreyImage, grid: _Grid, ellipses: Ellipses, misplaced: NDArray[
             f"The edges of the circles are {width:.1f} px wide and the circles {across:.1f} px; hold the "
             "board still, or focus.",
         )
-    if _beyond_border(grey, ellipses):
+    seen = ellipses.good & ~misplaced
+    points = np.where(seen[:, None], ellipses.points, grid.points)
+    extent = 2 * np.sqrt(
+        np.where(seen[:, None, None], ellipses.covariances, grid.covariances)[:, [0, 1], [0, 1]]
+    )
+    if outside(grey.shape, np.concatenate([points - extent, points + extent]), 0):
         raise BoardNotFound(
             "cut off", "Part of the board is beyond the border of the image; bring the whole board into it."
         )
@@ -232,15 +238,10 @@ def _refine_reduced(grey: GreyImage, grid: _Grid, factor: int) -> Ellipses:
         (found.points + 0.5) * factor - 0.5,
         found.covariances * factor**2,
         found.sigma * factor,
+        found.covered * factor,
         found.blur * factor,
         found.good,
     )
-
-
-def _beyond_border(grey: GreyImage, ellipses: Ellipses) -> bool:
-    """Whether any of the ellipses reaches beyond the border of the image."""
-    extent = 2 * np.sqrt(ellipses.covariances[:, [0, 1], [0, 1]])
-    return outside(grey.shape, np.concatenate([ellipses.points - extent, ellipses.points + extent]), 0)
 
 
 def _not_found(grey: GreyImage, lattice: Array, pattern: Pattern) -> BoardNotFound:

@@ -29,6 +29,12 @@ MAX_REACH = 1.7
 """How far the window reaches, in radii from the centre: enough white to know it by, and no more."""
 MIN_EXPLAINED = 0.7
 """Share of the window's variance that the model must explain: 0.97 and more at a clean disc."""
+UNUSUAL = 3.0
+"""Times the board's median that a clean disc may leave unexplained. What it leaves beyond that is something
+else in its place, such as a finger or glare,"""
+COVERED_SHIFT = 0.5
+"""and moves the centre by this share of the radius for each unit: white over a share a of the disc moves the
+centroid by up to a radii, and leaves some 2 a of the variance unexplained."""
 MIN_CONTRAST_SHARE = 0.2
 """Least contrast of a disc, as a share of the board's median."""
 MAX_AREA_RATIO = 1.6
@@ -62,7 +68,9 @@ class Ellipses:
     covariances : (N, 2, 2)
         Of the ellipse's area, px^2: the semi-axes are twice the roots of the eigenvalues.
     sigma : (N,)
-        One sd of a centre in either direction, pixels.
+        One sd of a centre in either direction by the noise, pixels.
+    covered : (N,)
+        The same by what covers a part of the disc or glares on it, pixels.
     blur : (N,)
         Gaussian sd of the edge, pixels.
     good : (N,)
@@ -72,6 +80,7 @@ class Ellipses:
     points: Array
     covariances: Array
     sigma: Array
+    covered: Array
     blur: Array
     good: NDArray[np.bool_]
 
@@ -115,13 +124,15 @@ def refine_discs(
     shift = np.sqrt(np.einsum("ni,nij,nj->n", found - points, shapes, found - points))
     area_ratio = np.sqrt(np.linalg.det(shapes) / determinant)
     contrast = p[:, 7]
+    unusual = np.maximum(1 - explained - UNUSUAL * np.median(1 - explained), 0)
+    covered = COVERED_SHIFT * unusual * determinant**-0.25
     good = (
         (explained > MIN_EXPLAINED)
         & (contrast > MIN_CONTRAST_SHARE * np.median(contrast))
         & (np.abs(np.log(area_ratio / np.median(area_ratio))) < math.log(MAX_AREA_RATIO))
         & (shift < MAX_SHIFT)
     )
-    return Ellipses(found, adjugate / determinant[:, None, None] / 4, sigma, p[:, 5], good)
+    return Ellipses(found, adjugate / determinant[:, None, None] / 4, sigma, covered, p[:, 5], good)
 
 
 def _windows(

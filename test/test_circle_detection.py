@@ -19,7 +19,7 @@ from no_board import NO_BOARD, no_board
 from fewcal.boards import AsymmetricCircleGrid, CircleGrid
 from fewcal.calibration import calibrate
 from fewcal.detection import detect, detect_board
-from fewcal.errors import BoardNotFound
+from fewcal.errors import BoardNotFound, InvalidInput
 from fewcal.rendering import clutter
 from fewcal.views import View
 
@@ -175,6 +175,83 @@ def test_an_asymmetric_grid_in_a_mirror_is_refused_where_it_shows() -> None:
     image, _ = picture(pose(board, 20), board)
     assert len(detect(image, board)) == 24
     assert refusal(image[:, ::-1], board).reason == "wrong size"
+
+
+def test_a_symmetric_grid_looks_the_same_in_a_mirror() -> None:
+    image, true = picture(pose(SYMMETRIC, 20))
+    found = detect(image[:, ::-1], SYMMETRIC).image_points
+    mirrored = np.column_stack([SIZE[0] - 1 - true[:, 0], true[:, 1]]).reshape(7, 10, 2)[:, ::-1]
+    assert rms(found, either_way(found, mirrored.reshape(-1, 2))) < 0.03
+
+
+@KINDS
+@pytest.mark.parametrize("other", [SYMMETRIC, ASYMMETRIC, CircleGrid(5, 4, 0.02)], ids=str)
+def test_of_two_boards_the_one_asked_for_is_found(
+    board: CircleGrid | AsymmetricCircleGrid, other: CircleGrid | AsymmetricCircleGrid
+) -> None:
+    left, right = pose(board, 20, 30, 10, 0.28, (-160, 60)), pose(other, 20, 60, 30, 0.28, (160, -60))
+    behind, true = picture(left, board)
+    image, others = picture(right, other, background=behind / 255)
+    for asked in (board, other):
+        found = detect(image, asked).image_points
+        shown = [each for each, of in ((true, board), (others, other)) if of == asked]
+        assert min(rms(found, either_way(found, each)) for each in shown) < 0.05
+
+
+@KINDS
+@pytest.mark.parametrize("radius_px", [2, 4, 6])
+def test_a_circle_covered_in_part_is_refused_or_said_to_be_uncertain(
+    board: CircleGrid | AsymmetricCircleGrid, radius_px: int
+) -> None:
+    image, true = picture(pose(board, 30), board)
+    for index in range(0, len(true), 5):
+        spot = tuple(np.rint(true[index] + [6, 3]).astype(int).tolist())
+        try:
+            view = detect(cv2.circle(image.copy(), spot, radius_px, 255, -1, cv2.LINE_AA), board)
+        except BoardNotFound as error:
+            assert error.reason in ("cut off", "not planar")  # noqa: PT017
+        else:
+            error = np.abs(view.image_points - either_way(view.image_points, true)).max(axis=1)
+            assert (error < 4 * view.sigma + 0.05).all()
+
+
+@KINDS
+@pytest.mark.parametrize("strength", [100, 200, 400])
+def test_glare_gives_right_centres_or_none(board: CircleGrid | AsymmetricCircleGrid, strength: float) -> None:
+    image, true = picture(pose(board, 20), board)
+    x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    for u, v in true[[0, 12, 31]]:
+        lamp = strength * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * 50**2))
+        try:
+            found = detect(np.clip(image + lamp, 0, 255).astype(np.uint8), board).image_points
+        except BoardNotFound as error:
+            assert error.reason == "cut off"  # noqa: PT017
+        else:
+            assert np.abs(found - either_way(found, true)).max() < 0.6
+
+
+@KINDS
+def test_motion_during_the_readout_shears_a_board_and_vibration_is_refused(
+    board: CircleGrid | AsymmetricCircleGrid,
+) -> None:
+    image, true = picture(pose(board, 30), board)
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in SIZE))
+
+    def shaken(offset: Any) -> Any:
+        return cv2.remap(image, (x - offset).astype(np.float32), y, cv2.INTER_CUBIC)
+
+    panned = detect(shaken(40 * y / SIZE[1]), board).image_points
+    sheared = true + np.column_stack([40 * true[:, 1] / SIZE[1], np.zeros(len(true))])
+    assert rms(panned, either_way(panned, sheared)) < 0.05
+    error = refusal(shaken(4 * np.sin(8 * np.pi * y / SIZE[1])), board)
+    assert "flat" in str(error) or "circles cannot be seen" in str(error)
+
+
+@KINDS
+@pytest.mark.parametrize("image", [np.full((50, 50), np.nan), np.zeros((0, 9), np.uint8), None], ids=str)
+def test_what_is_no_image_is_refused(board: CircleGrid | AsymmetricCircleGrid, image: Any) -> None:
+    with pytest.raises(InvalidInput, match=r"An image must .*\.$"):
+        detect(image, board)
 
 
 @pytest.mark.parametrize("shift", [(230.0, 0.0), (300.0, 0.0), (0.0, 190.0)])

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from circle_pictures import SYMMETRIC, picture, pose
@@ -54,3 +55,16 @@ def test_what_is_no_disc_is_not_good() -> None:
     image[v[1] - 15 : v[1] + 1, u[1] - 15 : u[1] + 16] = 200
     found = refine_discs(image, true, np.tile(radius**2 / 4 * np.eye(2), (len(true), 1, 1)), 1.5)
     assert np.flatnonzero(~found.good).tolist() == [12, 40]
+
+
+def test_what_covers_a_part_of_a_disc_is_told() -> None:
+    image, true = picture(pose(SYMMETRIC, 0))
+    radius = 0.3 * np.linalg.norm(true[1] - true[0])
+    covariances = np.tile(radius**2 / 4 * np.eye(2), (len(true), 1, 1))
+    assert (refine_discs(image, true, covariances, 1.5).covered == 0).all()
+    cv2.circle(image, np.rint(true[12] + [radius, 0]).astype(int).tolist(), 4, 255, -1)
+    found = refine_discs(image, true, covariances, 1.5)
+    assert np.flatnonzero(found.covered).tolist() == [12]
+    shift = np.linalg.norm(found.points[12] - true[12])
+    assert shift > 20 * found.sigma[0]
+    assert 0.3 < shift / found.covered[12] < 3

@@ -70,13 +70,9 @@ def test_a_missing_blob_leaves_a_gap_and_clutter_is_left_out() -> None:
 
 def test_two_boards_are_two_lattices() -> None:
     one, other = blobs(ASYMMETRIC, 20, 10), blobs(SYMMETRIC, 0, 0)
-    found = find_lattices(
-        Blobs(
-            np.concatenate([one.points + np.array([2000, 0]), other.points]),
-            np.concatenate([one.covariances, other.covariances]),
-        )
-    )
-    assert [int((lattice >= 0).sum()) for lattice in found] == [70, 44]
+    points = np.concatenate([one.points + np.array([2000, 0]), other.points])
+    both = Blobs(points, np.concatenate([one.covariances, other.covariances]))
+    assert [int((lattice >= 0).sum()) for lattice in find_lattices(both)] == [70, 44]
 
 
 @pytest.mark.parametrize("count", [0, 1, 4, 200])

@@ -258,17 +258,12 @@ def _result(
     thresholds: Thresholds,
 ) -> Calibration:
     stack = found.adjustment.views
-    rotation = found.geometry.rotation[0] @ np.swapaxes(stack.plane, -1, -2)
-    position = found.geometry.position[0]
-    poses = np.zeros((len(views), 4, 4))
-    poses[:, :3, :3] = rotation
-    poses[:, :3, 3] = position - (rotation @ stack.centroid[..., None])[..., 0]
-    poses[:, 3, 3] = 1
+    poses = found.board_poses()
     counts = (stack.weights > 0).sum(axis=1)
     squares = _squared_errors(rows, found.sigma, stack.weights, solution.departures)
     covariance = solution.covariance
     evidence = Evidence(
-        rotations=rotation,
+        rotations=poses[:, :3, :3],
         extents=np.array([extent(view.image_points, size) for view in views]),
         camera=solution.camera,
         image_size=size,

@@ -130,6 +130,11 @@ class ViewStack(NamedTuple):
     pixels: NDArray[np.float64]
     weights: NDArray[np.float64]
 
+    @classmethod
+    def several(cls, stacks: Sequence[ViewStack]) -> ViewStack:
+        """Put stacks of the same shape side by side, along a new first axis of every attribute."""
+        return cls(*(np.stack(parts) for parts in zip(*stacks, strict=True)))
+
 
 def stack_views(views: Sequence[View]) -> ViewStack:
     """Put views into one set of arrays.

@@ -181,8 +181,8 @@ class Adjustment:
 
     def take(self, items: NDArray[np.intp]) -> Adjustment:
         """Keep some starts only."""
-        views = self.views if self.views.points.ndim == 3 else take(self.views, items)
-        return replace(self, views=views, noise=None if self.noise is None else self.noise.take(items))
+        kept = self if self.noise is None else replace(self, noise=self.noise.take(items))
+        return kept if self.views.points.ndim == 3 else replace(kept, views=take(self.views, items))
 
 
 @dataclass(frozen=True)

@@ -118,12 +118,12 @@ def solve_zhu2020(views: ViewStack, image_size: tuple[int, int], centred: bool =
         for one; not the paper's method, but it tells where that one fails.
     """
     centre = np.array(image_size) / 2
-    correspondences = views.points, views.pixels, views.weights
-    H = homographies(*correspondences)
-    apart = (part.reshape(-1, *part.shape[2:]) for part in (H, *correspondences))
-    H = refine_homographies(*apart, centre).reshape(H.shape)
+    H = homographies(views.points, views.pixels, views.weights)
+    parts = (H, views.points, views.pixels, views.weights)
+    apart, points, pixels, weights = (part.reshape(-1, *part.shape[2:]) for part in parts)
+    H = refine_homographies(apart, points, pixels, weights, centre).reshape(H.shape)
     found = simplified_intrinsics(H, centre, centred)
-    count = H.shape[1]
+    count = views.points.shape[1]
 
     def penalty(theta: Array) -> tuple[Array, Array]:
         r, J = exponential_penalty(theta[:, 0], theta[:, 1], count)

@@ -216,8 +216,8 @@ def cells(found: Sequence[Result]) -> list[str]:
     false = ((z > 3) & (usable > 0)).sum() / max(usable.sum(), 1)
     return [
         str(len(found)),
-        _quantiles(100 * focal) + " %",
-        _quantiles(projection),
+        quantiles(100 * focal) + " %",
+        quantiles(projection),
         f"{gross.sum()}",
         f"{(gross & (usable == 0)).sum()}",
         " ".join(f"{(known < bound).mean():.2f}" for bound in (1, 2, 3)) if len(known) else "-",
@@ -226,12 +226,10 @@ def cells(found: Sequence[Result]) -> list[str]:
     ]
 
 
-def _quantiles(errors: Array) -> str:
+def quantiles(errors: Array) -> str:
     """Median and 90th percentile; "none" where that has no answer."""
-    quantiles = np.percentile(errors, (50, 90), method="lower").tolist()
-    return " / ".join(
-        f"{quantile:#.3g}".rstrip(".") if np.isfinite(quantile) else "none" for quantile in quantiles
-    )
+    values = np.percentile(errors, (50, 90), method="lower").tolist()
+    return " / ".join(f"{value:#.3g}".rstrip(".") if np.isfinite(value) else "none" for value in values)
 
 
 def table(results: Mapping[tuple[str, int], Sequence[Result]]) -> None:

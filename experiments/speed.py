@@ -5,8 +5,8 @@
 Each round calls everybody once, in turn, on the same views of 54 points; the ratio is that of a round, and
 its median is printed. cv2.calibrateCamera runs with default flags. scipy.optimize.least_squares minimises the
 same residuals from the answer of calibrate() with the focal length moved by 2 %: one minimisation, without
-homographies, starts, error bars or verdict. Then the time that an import takes on top of numpy and OpenCV.
-For the paper's trials a second see zhu2020.py.
+homographies, starts, error bars or verdict. mrcal takes part where it is installed. Then the time that an
+import takes on top of numpy and OpenCV. For the paper's trials a second see zhu2020.py.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from collections.abc import Callable
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
+import mrcal_camera
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
@@ -89,6 +90,16 @@ def run_scipy(views: list[fewcal.View]) -> Callable[[], object]:
     return lambda: least_squares(lambda x: rows(x)[0], start, lambda x: rows(x)[1], x_scale="jac")
 
 
+def run_mrcal(views: list[fewcal.View]) -> Callable[[], object]:
+    """Mrcal from its own seed, the board flat."""
+    return lambda: mrcal_camera.calibrate(views, SIZE, warp=False)
+
+
+OTHERS = {"cv2.calibrateCamera": run_opencv, "scipy least_squares": run_scipy}
+if mrcal_camera.AVAILABLE:
+    OTHERS["mrcal"] = run_mrcal
+
+
 def timed(call: Callable[[], object]) -> float:
     """Seconds that a call takes."""
     start = time.perf_counter()
@@ -99,7 +110,7 @@ def timed(call: Callable[[], object]) -> float:
 def race(count: int, rounds: int) -> str:
     """One row of the table: medians of times, and of the ratios of calibrate() to the others."""
     views = scene(count)
-    calls = [lambda: fewcal.calibrate(views, SIZE), run_opencv(views), run_scipy(views)]
+    calls = [lambda: fewcal.calibrate(views, SIZE), *(run(views) for run in OTHERS.values())]
     for call in calls:
         call()
     seconds = np.array([[timed(call) for call in calls] for _ in range(rounds)])
@@ -122,7 +133,7 @@ def main() -> None:
     options = parser.parse_args()
     cv2.setNumThreads(1)
     print("Milliseconds, and in brackets the median ratio of calibrate() to it:\n")
-    print("| views | calibrate() | cv2.calibrateCamera | scipy least_squares |\n|---|---|---|---|")
+    print("| views | calibrate() | " + " | ".join(OTHERS) + " |\n|---|---" + "|---" * len(OTHERS) + "|")
     for count in COUNTS:
         print(race(count, options.rounds), flush=True)
     basis = import_seconds("import numpy, cv2")

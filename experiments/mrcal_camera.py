@@ -50,56 +50,63 @@ def lattice(views: list[fewcal.View]) -> tuple[Array, float]:
 
 def calibrate(views: list[fewcal.View], size: tuple[int, int], warp: bool = True) -> fewcal.Camera:
     """Calibrate one camera; `warp` lets mrcal estimate the shape of the board."""
+    try:
+        fx, fy, cx, cy, *distortion = _solve(views, size, warp).tolist()
+    except RuntimeError as error:
+        raise fewcal.DegenerateViews(f"mrcal: {error}") from error
+    if not (fx > 0 and fy > 0):
+        raise fewcal.DegenerateViews("mrcal: the focal length is not positive.")
+    return fewcal.Camera(fx, fy, cx, cy, [*distortion, 0.0])
+
+
+def _solve(views: list[fewcal.View], size: tuple[int, int], warp: bool) -> Array:
+    """Intrinsics (8,) of `LENS`."""
     observations, spacing = lattice(views)
     numbers = np.arange(len(views), dtype=np.int32)
     frame_camera = np.stack([numbers, 0 * numbers], axis=1)
     sizes = np.array([size], dtype=np.int32)
-    try:
-        core, extrinsics, frames = mrcal.seed_stereographic(
-            imagersizes=sizes,
-            focal_estimate=float(max(size)),
-            indices_frame_camera=frame_camera,
-            observations=observations,
-            object_spacing=spacing,
-        )
-        problem: dict[str, Any] = {
-            "intrinsics": core,
-            "extrinsics_rt_fromref": extrinsics,
-            "frames_rt_toref": frames,
-            "points": None,
-            "observations_point": None,
-            "indices_point_camintrinsics_camextrinsics": None,
-            "observations_board": observations,
-            "indices_frame_camintrinsics_camextrinsics": np.column_stack([frame_camera, 0 * numbers - 1]),
-            "lensmodel": "LENSMODEL_STEREOGRAPHIC",
-            "imagersizes": sizes,
-            "calibration_object_spacing": spacing,
-            "do_optimize_intrinsics_core": False,
-            "do_optimize_intrinsics_distortions": False,
-            "do_optimize_calobject_warp": False,
-            "do_apply_outlier_rejection": False,
-            "do_apply_regularization": False,
-        }
-        mrcal.optimize(**problem)
-        mrcal.optimize(**problem | {"do_optimize_intrinsics_core": True})
-        lens = np.random.default_rng(0).uniform(-LENS_START, LENS_START, (1, 4))
-        problem |= {
-            "lensmodel": LENS,
-            "intrinsics": np.concatenate([core, lens], axis=1),
-            "do_optimize_intrinsics_core": True,
-            "do_optimize_intrinsics_distortions": True,
-            "do_apply_outlier_rejection": True,
-            "do_apply_regularization": True,
-        }
-        mrcal.optimize(**problem)
-        if warp:
-            mrcal.optimize(**problem | {"calobject_warp": np.zeros(2), "do_optimize_calobject_warp": True})
-    except Exception as error:  # mrcal raises no exceptions of its own
-        raise fewcal.DegenerateViews(f"mrcal: {error}") from error
-    fx, fy, cx, cy, *distortion = problem["intrinsics"][0].tolist()
-    if not (fx > 0 and fy > 0):
-        raise fewcal.DegenerateViews("mrcal: the focal length is not positive.")
-    return fewcal.Camera(fx, fy, cx, cy, [*distortion, 0.0])
+    core, extrinsics, frames = mrcal.seed_stereographic(
+        imagersizes=sizes,
+        focal_estimate=float(max(size)),
+        indices_frame_camera=frame_camera,
+        observations=observations,
+        object_spacing=spacing,
+    )
+    # mrcal writes what it finds into these arrays, from where the next stage goes on.
+    problem: dict[str, Any] = {
+        "intrinsics": core,
+        "extrinsics_rt_fromref": extrinsics,
+        "frames_rt_toref": frames,
+        "points": None,
+        "observations_board": observations,
+        "indices_frame_camintrinsics_camextrinsics": np.column_stack([frame_camera, 0 * numbers - 1]),
+        "observations_point": None,
+        "indices_point_camintrinsics_camextrinsics": None,
+        "imagersizes": sizes,
+        "calibration_object_spacing": spacing,
+        "lensmodel": "LENSMODEL_STEREOGRAPHIC",
+    }
+    _optimise(problem, core=False)
+    _optimise(problem)
+    lens = np.random.default_rng(0).uniform(-LENS_START, LENS_START, (1, 4))
+    problem |= {"lensmodel": LENS, "intrinsics": np.concatenate([core, lens], axis=1)}
+    _optimise(problem, lens=True)
+    if warp:
+        _optimise(problem | {"calobject_warp": np.zeros(2)}, lens=True)
+    intrinsics: Array = problem["intrinsics"][0]
+    return intrinsics
+
+
+def _optimise(problem: dict[str, Any], core: bool = True, lens: bool = False) -> None:
+    """One stage; the board's shape is among the unknowns where it is there to be filled in."""
+    mrcal.optimize(
+        **problem,
+        do_optimize_intrinsics_core=core,
+        do_optimize_intrinsics_distortions=lens,
+        do_optimize_calobject_warp="calobject_warp" in problem,
+        do_apply_outlier_rejection=lens,
+        do_apply_regularization=lens,
+    )
 
 
 def _spacing(points: Array) -> float:

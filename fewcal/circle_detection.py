@@ -28,7 +28,7 @@ from .detection import EDGE_WIDTH_PER_BLUR, MAX_EDGE_SHARE, Detection, outside
 from .disc_refinement import Ellipses, refine_discs
 from .errors import BoardNotFound
 from .grey import GreyImage
-from .grid import fill_gaps, predict
+from .grid import fill_gaps, local_axes, predict
 from .planarity import plane_residuals
 from .reduction import SEARCHED_PX, reduce, reductions
 from .views import View
@@ -132,12 +132,15 @@ def _place(lattice: Indices, blobs: Blobs, pattern: Pattern) -> _Grid | None:
         return None
     grids = [fill_gaps(np.where((turn >= 0)[..., None], blobs.points[turn], np.nan)) for turn in fitting]
     first = min(range(len(grids)), key=lambda k: float(grids[k][0, 0].sum()))
-    points, index = grids[first][pattern], fitting[first][pattern]
-    if not np.isfinite(points).all():
+    grid, index = grids[first], fitting[first][pattern]
+    if not np.isfinite(grid[pattern]).all():
         return None
-    known = np.flatnonzero(index >= 0)
-    distance = np.linalg.norm(points[:, None] - points[known], axis=2)
-    return _Grid(points, blobs.covariances[index[known[np.argmin(distance, axis=1)]]])
+    # Each circle is seen as the cell about it is, and all of them fill the same share of their cells.
+    cells = np.stack(local_axes(grid), axis=-1)[pattern]
+    shapes = cells @ np.swapaxes(cells, 1, 2)
+    known, found = index >= 0, blobs.covariances[index]
+    share = np.median(np.sqrt(np.linalg.det(found[known]) / np.linalg.det(shapes[known])))
+    return _Grid(grid[pattern], np.where(known[:, None, None], found, share * shapes))
 
 
 def _turned_by_an_eighth(lattice: Indices) -> Indices:
@@ -164,6 +167,8 @@ def _trim(lattice: Indices, least: float) -> Indices:
 
 def _locate(grey: GreyImage, grid: _Grid, plane: Array) -> Ellipses:
     """Ellipses at the scale that suits them; those that fail are looked for where the others put them."""
+    if outside(grey.shape, grid.points, 0):
+        raise _beyond_border()
     for _ in range(_ATTEMPTS):
         ellipses = _refine(grey, grid)
         spacing = 2 * grid.reach * grid.radii[:, 0]
@@ -193,9 +198,7 @@ def _check(grey: GreyImage, grid: _Grid, ellipses: Ellipses, misplaced: NDArray[
         np.where(seen[:, None, None], ellipses.covariances, grid.covariances)[:, [0, 1], [0, 1]]
     )
     if outside(grey.shape, np.concatenate([points - extent, points + extent]), 0):
-        raise BoardNotFound(
-            "cut off", "Part of the board is beyond the border of the image; bring the whole board into it."
-        )
+        raise _beyond_border()
     if not ellipses.good.all():
         raise BoardNotFound(
             "cut off",
@@ -208,6 +211,12 @@ def _check(grey: GreyImage, grid: _Grid, ellipses: Ellipses, misplaced: NDArray[
             f"{int(misplaced.sum())} of the {len(misplaced)} circles are not where a flat board would show "
             "them; hold the board flat and free of reflections.",
         )
+
+
+def _beyond_border() -> BoardNotFound:
+    return BoardNotFound(
+        "cut off", "Part of the board is beyond the border of the image; bring the whole board into it."
+    )
 
 
 def _refine(grey: GreyImage, grid: _Grid) -> Ellipses:

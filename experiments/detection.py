@@ -123,17 +123,7 @@ def take(
     width = max(640, 16 * round(case.square_px))
     size = (width, round(0.75 * width))
     camera = barrel_camera(size, case.barrel)
-    centre = board.points.mean(axis=0)[:2]
-    left, top, right, bottom = board.draw().ink
-    outline = np.array([[left, top, 0], [right, top, 0], [right, bottom, 0], [left, bottom, 0]])
-    distance = camera.fx * unit_m / case.square_px
-    while True:
-        about, roll = rng.uniform(0, 360), rng.uniform(-25, 25)
-        T = board_pose(rng.uniform(*case.tilt_deg), about, roll, distance, centre)
-        T[:2, 3] += rng.uniform(-0.15, 0.15, 2) * distance
-        seen = camera.project(outline, T)
-        if (seen > BORDER_PX).all() and (seen < np.array(size) - BORDER_PX).all():
-            break
+    T = place(board, camera, size, case.tilt_deg, case.square_px, rng, unit_m)
     light_deg = rng.uniform(0, 360)
     light = replace(case.light, light_deg=light_deg)
     image = render(camera, size, board, T, light, rng=rng, oversampling=OVERSAMPLING)
@@ -146,6 +136,29 @@ def take(
         outwards / np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1e-9),
         np.broadcast_to(direction, truth.shape),
     )
+
+
+def place(
+    board: Board,
+    camera: Camera,
+    size: tuple[int, int],
+    tilt_deg: tuple[float, float],
+    square_px: float,
+    rng: np.random.Generator,
+    unit_m: float = BOARD.square_size,
+) -> Array:
+    """Random pose (4, 4) that shows the whole board, `unit_m` of it `square_px` long when seen face on."""
+    centre = board.points.mean(axis=0)[:2]
+    left, top, right, bottom = board.draw().ink
+    outline = np.array([[left, top, 0], [right, top, 0], [right, bottom, 0], [left, bottom, 0]])
+    distance = camera.fx * unit_m / square_px
+    while True:
+        about, roll = rng.uniform(0, 360), rng.uniform(-25, 25)
+        T = board_pose(rng.uniform(*tilt_deg), about, roll, distance, centre)
+        T[:2, 3] += rng.uniform(-0.15, 0.15, 2) * distance
+        seen = camera.project(outline, T)
+        if (seen > BORDER_PX).all() and (seen < np.array(size) - BORDER_PX).all():
+            return T
 
 
 def barrel_camera(size: tuple[int, int], barrel: float) -> Camera:

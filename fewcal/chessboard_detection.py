@@ -17,6 +17,9 @@ The order of the corners is that of ``Chessboard.points``, and it is always the 
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,7 +29,7 @@ from .corner_refinement import RefinedCorners, refine_corners
 from .detection import MIN_BORDER_PX, Detection, blurred, edge_width, is_blurred, outside
 from .errors import BoardNotFound
 from .grey import GreyImage
-from .grid import fill_gaps, find_grids, local_axes, predict, square_size
+from .grid import fill_gaps, find_grids, local_axes, predict, square_size, squares_meet_in_shadow
 from .planarity import planar_residuals
 from .reduction import SEARCHED_PX, reduce, reductions
 from .saddle_points import find_saddle_points, sample
@@ -65,7 +68,7 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
     largest = np.empty((0, 0, 2))
     failure: BoardNotFound | None = None
     for factor in reductions(grey):
-        if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(largest / factor):
+        if factor == 1 and max(grey.shape) > SEARCHED_PX and not _shows_small_squares(largest):
             break
         reduced = reduce(grey, factor)
         for found in find_grids(reduced, find_saddle_points(reduced)):
@@ -77,7 +80,39 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
                     failure = failure or error
             elif grid.size > largest.size:
                 largest = grid
+    for grid, added in _completed(grey, largest, board):
+        with contextlib.suppress(BoardNotFound):
+            corners = _locate(grey, grid)
+            if np.mean(squares_meet_in_shadow(grey, corners.points)[added]) > MIN_GOOD_SHARE:
+                return corners
     raise failure or _not_found(grey, largest, board)
+
+
+def _completed(
+    grey: GreyImage, grid: Array, board: Chessboard
+) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
+    """Complete a grid that lacks an outer row or column, as a shadow may hide it, to the board's size.
+
+    Yields
+    ------
+    grid : (R, C, 2)
+        Pixels; the missing corners where the others predict them.
+    added : (R, C)
+        Which these are.
+    """
+    rows, columns = grid.shape[:2]
+    for size in {(board.rows, board.columns), (board.columns, board.rows)}:
+        short = size[0] - rows, size[1] - columns
+        if min(rows, columns) < 3 or min(short) < 0 or max(short) != 1:
+            continue
+        for top, left in product(range(short[0] + 1), range(short[1] + 1)):
+            found = np.zeros(size, dtype=bool)
+            found[top : top + rows, left : left + columns] = True
+            whole = np.full((*size, 2), np.nan)
+            whole[found] = grid.reshape(-1, 2)
+            whole = fill_gaps(whole)
+            if not outside(grey.shape, whole, MIN_BORDER_PX):
+                yield whole, ~found
 
 
 def _shows_small_squares(grid: Array) -> bool:

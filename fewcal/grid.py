@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from .saddle_points import Image, SaddlePoints, sample
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
     from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
@@ -32,6 +33,9 @@ EDGE_SIDE = 0.25
 """How far to either side of an edge the step is measured, as a share of its length."""
 EDGE_CONTRAST = 0.3
 """Step across an edge between two corners, as a share of the stronger corner's contrast."""
+MAX_STEP_RATIO = 2.0
+"""Step to a neighbour over the step back along the same edge: perspective and lens change it by a third from
+one square to the next; a longer one leads off the board."""
 MIN_CORNERS = 8
 """Fewest linked corners that are worth growing: the smallest board, 3x3, less one."""
 QUADRANT_SHARE = 0.25
@@ -83,6 +87,9 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
     if len(start) == 0:
         return []
     count = len(saddles.points)
+    graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(count, count)).tocsr()
+    sides = _sides_of_squares(graph, start, end)
+    start, end, along_first = start[sides], end[sides], along_first[sides]
     graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(count, count))
     _, label = connected_components(graph, directed=False)
     sizes = np.bincount(label)
@@ -99,6 +106,14 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
         if min(points.shape[:2]) > 1 and np.isfinite(fill_gaps(points)).all():
             grids.append(points)
     return sorted(grids, key=_area, reverse=True)
+
+
+def _sides_of_squares(graph: csr_matrix, start: Indices, end: Indices) -> NDArray[np.bool_]:
+    """Which links are a side of a closed square; what ties a board to things beyond it hardly ever is."""
+    # Walks of three links from end to end, less those that go back on themselves.
+    degree = np.asarray(graph.sum(axis=1)).ravel()
+    walks = np.asarray((graph @ graph @ graph)[start, end]).ravel()
+    return np.asarray(walks - degree[start] - degree[end] + 1 > 0)
 
 
 def _closed_squares(grid: Indices) -> int:
@@ -144,9 +159,13 @@ def _links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArr
     forward = step[:, 0] * np.cos(angle) + step[:, 1] * np.sin(angle) > 0
     slot = 4 * start + 2 * first + forward
     order = np.lexsort([length, slot])
-    _, nearest = np.unique(slot[order], return_index=True)
+    taken, nearest = np.unique(slot[order], return_index=True)
     kept = order[nearest]
     start, end, first = start[kept], end[kept], first[kept]
+    step = np.full(4 * len(points), np.inf)
+    step[taken] = length[kept]
+    even = length[kept] < MAX_STEP_RATIO * step[taken ^ 1]
+    start, end, first = start[even], end[even], first[even]
     mutual = np.isin(start * len(points) + end, end * len(points) + start)
     return start[mutual], end[mutual], first[mutual]
 
@@ -375,6 +394,29 @@ def _rim_share(known: NDArray[np.bool_], meet: NDArray[np.bool_]) -> float:
 
 def _squares_meet(image: Image, grid: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which corners are known, and at which of them two dark and two bright squares meet crosswise."""
+    known, dark, bright, contrast = _quadrants(image, grid)
+    return known, known & (bright - dark > EDGE_CONTRAST * contrast)
+
+
+def squares_meet_in_shadow(image: Image, grid: Array) -> NDArray[np.bool_]:
+    """Which corners (R, C) of a grid two dark and two bright squares meet at, if need be half in a shadow."""
+    known, dark, bright, _ = _quadrants(image, grid)
+    return known & (bright - dark > EDGE_CONTRAST * bright)
+
+
+def _quadrants(image: Image, grid: Array) -> tuple[NDArray[np.bool_], Array, Array, Array]:
+    """Squares about each corner (R, C).
+
+    Returns
+    -------
+    known : (R, C)
+        Whether the corner and enough of its neighbours are known.
+    dark, bright : (R, C)
+        Brighter one of the two opposite squares that are darker, and darker one of the two others; grey
+        levels.
+    contrast : (R, C)
+        From the darkest to the brightest of the four.
+    """
     across, down = (QUADRANT_SHARE * axes for axes in local_axes(grid))
     known = np.asarray(np.isfinite(grid + across + down).all(axis=2))
     quadrants = np.stack(
@@ -382,5 +424,7 @@ def _squares_meet(image: Image, grid: Array) -> tuple[NDArray[np.bool_], NDArray
     )
     values = sample(image, np.where(known[..., None], quadrants, 0))
     one, other = values[:2], values[2:]
-    gap = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
-    return known, np.asarray(known & (gap > EDGE_CONTRAST * np.ptp(values, axis=0)))
+    first_bright = one.sum(axis=0) > other.sum(axis=0)
+    bright = np.where(first_bright, one.min(axis=0), other.min(axis=0))
+    dark = np.where(first_bright, other.max(axis=0), one.max(axis=0))
+    return known, dark, bright, np.ptp(values, axis=0)

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .corner_refinement import RefinedCorners, refine_corners
-from .detection import MIN_BORDER_PX, Detection, blurred, edge_width, is_blurred, outside
+from .detection import MAX_EDGE_SHARE, MIN_BORDER_PX, Detection, blurred, edge_width, outside
 from .errors import BoardNotFound
 from .grey import GreyImage
 from .grid import fill_gaps, find_grids, local_axes, predict, square_size, squares_meet_in_shadow
@@ -47,6 +47,9 @@ MIN_GOOD_SHARE = 0.75
 MIN_CLAIMED = 12
 """Corners that a grid of another size must have before it is called a board: code and texture often line up
 three by three."""
+MAX_BLURRED_SHARE = 0.75
+"""Widest edge as a share of the square when every corner stands the tests: up to it sigma is right for rendered
+blur, beyond it the next edges reach into the window of a corner."""
 LOOKED_AT = 8
 """Rows and columns of it that are tested: enough to tell, and quick on a large board."""
 _ATTEMPTS = 3
@@ -130,7 +133,7 @@ def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound
         return BoardNotFound(
             "no board", "No chessboard is to be seen; show it whole, well lit, with a white margin."
         )
-    if _is_blurred(corners):
+    if _is_blurred(corners, MAX_EDGE_SHARE):
         return _blurred(corners)
     if board.columns < board.rows:
         rows, columns, asked_rows, asked_columns = columns, rows, asked_columns, asked_rows
@@ -154,8 +157,8 @@ def _passing(grey: GreyImage, corners: RefinedCorners) -> float:
     return float(np.mean(corners.good & (np.linalg.norm(residuals, axis=2) < allowed)))
 
 
-def _is_blurred(corners: RefinedCorners) -> bool:
-    return is_blurred(edge_width(corners.blur), square_size(corners.points))
+def _is_blurred(corners: RefinedCorners, share: float) -> bool:
+    return edge_width(corners.blur) > share * square_size(corners.points)
 
 
 def _blurred(corners: RefinedCorners) -> BoardNotFound:
@@ -180,7 +183,7 @@ def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
         if not bad.any():
             break
         grid = np.where(bad[..., None], corners.points - residuals, corners.points)
-    if _is_blurred(corners):
+    if _is_blurred(corners, MAX_EDGE_SHARE if bad.any() else MAX_BLURRED_SHARE):
         raise _blurred(corners)
     if outside(grey.shape, corners.points, MIN_BORDER_PX):
         raise BoardNotFound(

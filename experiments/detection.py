@@ -82,6 +82,7 @@ CASES = (
     USUAL,
     *(replace(USUAL, name=f"tilt {tilt} deg", tilt_deg=(tilt, tilt)) for tilt in (0, 20, 40, 60, 70)),
     *(replace(USUAL, name=f"blur {blur} px").under(blur_px=blur) for blur in (0.5, 1.0, 1.5, 2.0)),
+    replace(USUAL, name="blur 4.2 px, squares 15 px", square_px=15.0).under(blur_px=4.2),
     *(replace(USUAL, name=f"noise {noise} levels").under(read_noise=noise) for noise in (1, 4, 8)),
     *(replace(USUAL, name=f"squares {px} px", square_px=px) for px in (8, 12, 20, 60, 120)),
     *(
@@ -187,13 +188,17 @@ def sector_based(image: Image) -> Found | None:
 def sub_pixel(image: Image) -> Found | None:
     """Corners of findChessboardCorners, located by cornerSubPix."""
     found, corners = cv2.findChessboardCorners(image, (BOARD.columns, BOARD.rows))
-    if not found:
-        return None
-    grid = corners.reshape(BOARD.rows, BOARD.columns, 2)
+    return Found(corner_sub_pix(image, corners, BOARD)) if found else None
+
+
+def corner_sub_pix(image: Image, corners: Array, board: Chessboard) -> Array:
+    """Locate corners (N, 2) by cornerSubPix, with an 11x11 window or half a square where that is less."""
+    grid = corners.reshape(board.rows, board.columns, 2)
     square = min(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1))
     half = int(np.clip(square / 2, 1, 5))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
-    return Found(cv2.cornerSubPix(image, corners, (half, half), (-1, -1), stop).reshape(-1, 2))
+    start = np.array(corners, dtype=np.float32).reshape(-1, 1, 2)
+    return np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), stop)).reshape(-1, 2)
 
 
 DETECTORS: dict[str, Callable[[Image], Found | None]] = {

@@ -19,6 +19,7 @@ fewcal that are not; missed the boards that any of OpenCV's finds and fewcal doe
 from __future__ import annotations
 
 import argparse
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +27,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from detection import FOUND_PX, barrel_camera, place, rms
+from detection import BOARD, FOUND_PX, barrel_camera, place, rms
 from numpy.typing import NDArray
 
 from fewcal import BoardNotFound, Camera, Chessboard, detect
@@ -60,10 +61,12 @@ class Scene(NamedTuple):
 
     def outline(self, margin: float) -> Array:
         """Outline (K, 2), pixels, of the squares and a margin, in squares; dense, as the lens bends it."""
-        ends = np.array([[-1.0, -1.0], [self.board.columns, self.board.rows]]) + margin * np.array([[-1], [1]])
+        ends = np.array([[-1.0, -1.0], [self.board.columns, self.board.rows]]) + margin * np.array(
+            [[-1], [1]]
+        )
         (left, top), (right, bottom) = ends
         corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])
-        along = np.concatenate([np.linspace(a, b, 50) for a, b in zip(corners[:-1], corners[1:], strict=True)])
+        along = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(corners)])
         return self.pixels(along)
 
     def pixels(self, squares: Array) -> Array:
@@ -188,7 +191,7 @@ class Case:
     """
 
     name: str
-    board: Chessboard = Chessboard(9, 6, 0.025)
+    board: Chessboard = BOARD
     width: int = 640
     tilt_deg: tuple[float, float] = (0.0, 40.0)
     square_px: float = 30.0
@@ -208,7 +211,9 @@ class Case:
         T = place(self.board, camera, size, self.tilt_deg, self.square_px, rng)
         scene = Scene(self.board, camera, T, rng)
         behind = clutter(size, rng) if self.cluttered else None
-        sharp = render(camera, size, self.board, T, replace(EVEN, light_deg=rng.uniform(0, 360)), background=behind)
+        sharp = render(
+            camera, size, self.board, T, replace(EVEN, light_deg=rng.uniform(0, 360)), background=behind
+        )
         light = sharp.astype(np.float32) / 255
         for effect in self.effects:
             light = effect(light, scene)
@@ -269,7 +274,14 @@ CASES = (
         for columns, rows in ((4, 3), (3, 3), (5, 4), (7, 7), (11, 8), (14, 10), (20, 14))
     ),
     Case("20x14, 1280 px", Chessboard(20, 14, 0.025), 1280, square_px=45.0, cluttered=True),
-    Case("20x14, barrel 30 %", Chessboard(20, 14, 0.025), 1280, square_px=45.0, barrel=0.3, tilt_deg=(0.0, 20.0)),
+    Case(
+        "20x14, barrel 30 %",
+        Chessboard(20, 14, 0.025),
+        1280,
+        square_px=45.0,
+        barrel=0.3,
+        tilt_deg=(0.0, 20.0),
+    ),
 )
 
 

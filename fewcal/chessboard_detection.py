@@ -48,8 +48,8 @@ MIN_CLAIMED = 12
 """Corners that a grid of another size must have before it is called a board: code and texture often line up
 three by three."""
 MAX_BLURRED_SHARE = 0.75
-"""Widest edge as a share of the square when every corner stands the tests: up to it sigma is right for rendered
-blur, beyond it the next edges reach into the window of a corner."""
+"""Widest edge as a share of the square when every corner stands the tests: up to it sigma is right
+(experiments/detection.py), beyond it the next edges reach into the window of a corner."""
 LOOKED_AT = 8
 """Rows and columns of it that are tested: enough to tell, and quick on a large board."""
 _ATTEMPTS = 3
@@ -91,9 +91,7 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
     raise failure or _not_found(grey, largest, board)
 
 
-def _completed(
-    grey: GreyImage, grid: Array, board: Chessboard
-) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
+def _completed(grey: GreyImage, grid: Array, board: Chessboard) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
     """Complete a grid that lacks an outer row or column, as a shadow may hide it, to the board's size.
 
     Yields

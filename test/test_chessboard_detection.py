@@ -269,7 +269,8 @@ def test_motion_during_the_readout_shears_a_board_and_vibration_is_refused() -> 
 
     panned = detect(shaken(40 * y / SIZE[1]), BOARD).image_points
     assert rms(panned, true + np.column_stack([40 * true[:, 1] / SIZE[1], np.zeros(len(true))])) < 0.1
-    assert refusal(shaken(6 * np.sin(8 * np.pi * y / SIZE[1]))).reason == "not planar"
+    vibrating = shaken(6 * np.sin(8 * np.pi * y / SIZE[1]))
+    assert refusal(vibrating).reason in ("not planar", "cut off")
 
 
 def test_corners_of_no_plane_are_refused() -> None:

@@ -17,18 +17,22 @@ sub-pixel
 rms is the error of a corner over both coordinates, median over the images in which the detector found the
 board; ratio is fewcal's over that of the better of OpenCV's, median over the images; found counts boards. z
 is the rms of fewcal's error over the sigma it reports (1 is right). Bias is the mean error of fewcal towards
-the light, and away from the middle of the image, thousandths of a pixel, with its standard error.
+the light, and away from the middle of the image, thousandths of a pixel, with its standard error. ms is the
+median time of each detector.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+from detectors import calib_targets
 from numpy.typing import NDArray
 
 from fewcal import Board, BoardNotFound, Camera, Chessboard, detect
@@ -201,11 +205,16 @@ def corner_sub_pix(image: Image, corners: Array, board: Chessboard) -> Array:
     return np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), stop)).reshape(-1, 2)
 
 
-DETECTORS: dict[str, Callable[[Image], Found | None]] = {
-    "fewcal": ours,
-    "SB": sector_based,
-    "sub-pixel": sub_pixel,
-}
+def with_calib_targets(image: Image) -> Found | None:
+    """Corners that calib-targets finds."""
+    corners = calib_targets(image, BOARD)
+    return None if corners is None else Found(corners)
+
+
+OPENCV: dict[str, Callable[[Image], Found | None]] = {"SB": sector_based, "sub-pixel": sub_pixel}
+DETECTORS: dict[str, Callable[[Image], Found | None]] = {"fewcal": ours, **OPENCV}
+if importlib.util.find_spec("calib_targets"):
+    DETECTORS["calib-targets"] = with_calib_targets
 
 
 def errors(found: Found | None, shot: Shot, any_order: bool) -> Array | None:
@@ -231,6 +240,7 @@ class Tally:
     def __init__(self) -> None:
         self.rms: list[dict[str, float]] = []
         self.found = dict.fromkeys(DETECTORS, 0)
+        self.seconds: dict[str, list[float]] = {name: [] for name in DETECTORS}
         self.scaled: list[Array] = []
         self.lightwards: list[float] = []
         self.outwards: list[float] = []
@@ -239,7 +249,9 @@ class Tally:
         """Let every detector look at an image."""
         of_image = {}
         for name, detector in DETECTORS.items():
+            start = time.perf_counter()
             found = detector(shot.image)
+            self.seconds[name].append(time.perf_counter() - start)
             error = errors(found, shot, any_order=name != "fewcal")
             if found is None or error is None:
                 continue
@@ -258,14 +270,15 @@ class Tally:
             for detector in DETECTORS
         }
         # Where only one of them finds the board there is nothing to compare.
-        both = [r for r in self.rms if "fewcal" in r and len(r) > 1]
-        ratios = [r["fewcal"] / min(r[d] for d in r if d != "fewcal") for r in both]
+        both = [r for r in self.rms if "fewcal" in r and any(d in r for d in OPENCV)]
+        ratios = [r["fewcal"] / min(r[d] for d in OPENCV if d in r) for r in both]
         cells = [name]
         cells += [f"{median[detector]:.4f}" for detector in DETECTORS]
         cells.append(f"{np.median(ratios) if ratios else np.nan:.2f}")
         cells.append(f"{rms(np.concatenate(self.scaled)) if self.scaled else np.nan:.2f}")
         cells += [_mean_and_error(values) for values in (self.lightwards, self.outwards)]
         cells.append("/".join(str(self.found[detector]) for detector in DETECTORS) + f" of {trials}")
+        cells.append("/".join(f"{1e3 * np.median(self.seconds[detector]):.0f}" for detector in DETECTORS))
         return f"| {' | '.join(cells)} |"
 
 
@@ -285,8 +298,10 @@ def main() -> None:
     parser.add_argument("--only", default="", help="conditions whose name holds this")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    print("| condition | fewcal rms px | SB | sub-pixel | ratio | z | bias to light | outwards | found |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    names = [f"{name}, rms px" for name in DETECTORS]
+    names += ["ratio", "z", "bias to light", "outwards", "found", "ms"]
+    print(f"| condition | {' | '.join(names)} |")
+    print("|---" * (len(names) + 1) + "|")
     for number, case in enumerate(CASES):
         if (options.small and case not in SMALL) or options.only not in case.name:
             continue

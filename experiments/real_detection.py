@@ -4,16 +4,16 @@
 
 DIR holds one folder a camera: images/, meta.json ({"board": {"type": "chessboard", "cols": 9, "rows": 6}},
 interior corners) and, where there are any, corners.npz with reference corners (names, view_ptr, img). Every
-detector of recall.py sees every image. Printed for each camera:
+detector of detectors.py sees every image. Printed for each camera:
 
 found
     images in which each detector finds the board.
 missed
-    boards that any of OpenCV's finds, or the reference holds, and fewcal does not.
+    boards that any other detector finds, or the reference holds, and fewcal does not.
 order
     images in which fewcal's corners are those of the object: not mirrored, the square beyond the first corner
-    black where only one order has it so, and the same corners as the reference, or as the first detector of
-    OpenCV's that finds the board, up to the turns in which the board's corners look the same.
+    black where only one order has it so, and the same corners as the reference, or as the first of the others
+    that finds the board, up to the turns in which the board's corners look the same.
 from SB, from classic
     distance of fewcal's corners from those of findChessboardCornersSB with CALIB_CB_ACCURACY and
     CALIB_CB_EXHAUSTIVE, and of findChessboardCorners followed by cornerSubPix, pixels: median over all
@@ -34,8 +34,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 from detection import corner_sub_pix
+from detectors import DETECTORS, Image
 from numpy.typing import NDArray
-from recall import DETECTORS, Image
 
 from fewcal import BoardNotFound, Chessboard, detect
 

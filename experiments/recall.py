@@ -3,17 +3,9 @@
     python experiments/recall.py [--trials 10] [--only shadow] [--keep DIR]
 
 A chessboard, turned and placed at random as in detection.py, under one difficulty after the other: what lies
-behind it and before it, the light, the lens, the sensor. Every detector sees the same images:
-
-fewcal
-    fewcal.detect
-SB, SB exhaustive
-    findChessboardCornersSB, without flags, and with CALIB_CB_ACCURACY and CALIB_CB_EXHAUSTIVE
-classic, classic plain
-    findChessboardCorners with its own flags, adaptive threshold and normalised image, and without any
-
+behind it and before it, the light, the lens, the sensor. Every detector of detectors.py sees the same images.
 A board counts as found when the corners are within 2 px rms of where they are. wrong counts the answers of
-fewcal that are not; missed the boards that any of OpenCV's finds and fewcal does not.
+fewcal that are not; missed the boards that any other detector finds and fewcal does not.
 """
 
 from __future__ import annotations
@@ -28,9 +20,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from detection import BOARD, FOUND_PX, barrel_camera, place, rms
+from detectors import DETECTORS
 from numpy.typing import NDArray
 
-from fewcal import BoardNotFound, Camera, Chessboard, detect
+from fewcal import Camera, Chessboard
 from fewcal.rendering import Conditions, clutter, render
 
 Array = NDArray[np.float64]
@@ -283,43 +276,6 @@ CASES = (
         tilt_deg=(0.0, 20.0),
     ),
 )
-
-
-def ours(image: Image, board: Chessboard) -> Array | None:
-    """Corners that fewcal finds."""
-    try:
-        return detect(image, board).image_points
-    except BoardNotFound:
-        return None
-
-
-def sector_based(flags: int) -> Callable[[Image, Chessboard], Array | None]:
-    """Give findChessboardCornersSB with these flags."""
-
-    def find(image: Image, board: Chessboard) -> Array | None:
-        found, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
-        return corners.reshape(-1, 2) if found else None
-
-    return find
-
-
-def classic(flags: int) -> Callable[[Image, Chessboard], Array | None]:
-    """Give findChessboardCorners with these flags."""
-
-    def find(image: Image, board: Chessboard) -> Array | None:
-        found, corners = cv2.findChessboardCorners(image, (board.columns, board.rows), flags=flags)
-        return corners.reshape(-1, 2) if found else None
-
-    return find
-
-
-DETECTORS: dict[str, Callable[[Image, Chessboard], Array | None]] = {
-    "fewcal": ours,
-    "SB": sector_based(0),
-    "SB exhaustive": sector_based(cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE),
-    "classic": classic(cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE),
-    "classic plain": classic(0),
-}
 
 
 def is_right(found: Array | None, truth: Array, board: Chessboard) -> bool:

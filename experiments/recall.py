@@ -261,6 +261,7 @@ CASES = (
     Case("squares 10 px, 1080p", width=1920, square_px=10.0, cluttered=True),
     Case("squares 8 px, 1080p", width=1920, square_px=8.0, cluttered=True),
     Case("squares 6 px, 1080p", width=1920, square_px=6.0, cluttered=True),
+    Case("squares 12 px, 12 MP", width=4000, square_px=12.0, cluttered=True),
     Case("squares 150 px, 1080p", width=1920, square_px=150.0, tilt_deg=(0.0, 20.0)),
     *(
         Case(f"{columns}x{rows}", Chessboard(columns, rows, 0.025), square_px=min(60.0, 480 / (columns + 3)))
@@ -287,6 +288,23 @@ def is_right(found: Array | None, truth: Array, board: Chessboard) -> bool:
     return any(rms(found - turn.reshape(-1, 2)) < FOUND_PX for turn in turns if turn.shape == grid.shape)
 
 
+def row(case: Case, trials: int, rng: np.random.Generator, keep: Path | None) -> str:
+    """Let every detector look at the images of a case; one line of the table."""
+    counts = dict.fromkeys([*DETECTORS, "wrong", "missed"], 0)
+    for trial in range(trials):
+        image, truth = case.take(rng)
+        found = {name: detector(image, case.board) for name, detector in DETECTORS.items()}
+        right = {name: is_right(corners, truth, case.board) for name, corners in found.items()}
+        for name in DETECTORS:
+            counts[name] += right[name]
+        counts["wrong"] += found["fewcal"] is not None and not right["fewcal"]
+        counts["missed"] += any(right.values()) and not right["fewcal"]
+        if keep and not right["fewcal"]:
+            keep.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(keep / f"{case.name} {trial}.png".replace(" ", "_")), image)
+    return f"| {case.name} | {' | '.join(map(str, counts.values()))} |"
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
@@ -302,20 +320,7 @@ def main() -> None:
     for number, case in enumerate(CASES):
         if options.only not in case.name:
             continue
-        rng = np.random.default_rng(number)
-        counts = dict.fromkeys([*DETECTORS, "wrong", "missed"], 0)
-        for trial in range(options.trials):
-            image, truth = case.take(rng)
-            found = {name: detector(image, case.board) for name, detector in DETECTORS.items()}
-            right = {name: is_right(corners, truth, case.board) for name, corners in found.items()}
-            for name in DETECTORS:
-                counts[name] += right[name]
-            counts["wrong"] += found["fewcal"] is not None and not right["fewcal"]
-            counts["missed"] += any(right.values()) and not right["fewcal"]
-            if options.keep and not right["fewcal"]:
-                options.keep.mkdir(parents=True, exist_ok=True)
-                cv2.imwrite(str(options.keep / f"{case.name} {trial}.png".replace(" ", "_")), image)
-        print(f"| {case.name} | {' | '.join(map(str, counts.values()))} |", flush=True)
+        print(row(case, options.trials, np.random.default_rng(number), options.keep), flush=True)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .corner_refinement import RefinedCorners, refine_corners
+from .corner_refinement import MAX_RADIUS_PX, WINDOW_SHARE, RefinedCorners, affine_frames, refine_corners
 from .detection import MAX_EDGE_SHARE, MIN_BORDER_PX, Detection, blurred, edge_width, outside
 from .errors import BoardNotFound
 from .grey import GreyImage
@@ -48,10 +48,15 @@ MIN_CLAIMED = 12
 """Corners that a grid of another size must have before it is called a board: code and texture often line up
 three by three."""
 MAX_BLURRED_SHARE = 0.75
-"""Widest edge as a share of the square when every corner stands the tests: up to it sigma is right
-(experiments/detection.py), beyond it the next edges reach into the window of a corner."""
+"""Widest edge as a share of the square when every corner stands the tests: up to it sigma is right, beyond it
+the next edges reach into the window of a corner."""
+RESOLVED_PX = MAX_RADIUS_PX / WINDOW_SHARE
+"""Squares up to which the window grows with them; in larger ones it shows no wider edges than in these."""
 LOOKED_AT = 8
 """Rows and columns of it that are tested: enough to tell, and quick on a large board."""
+SAME_START_SHARE = 0.2
+"""Corners are located from any start within so much of a square: what a finer copy puts no farther from what
+failed would fail as well."""
 _ATTEMPTS = 3
 """Rounds of looking again for corners that were wrong; glare often moves one by a part of a square."""
 
@@ -70,17 +75,21 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
     """Locate the first grid of the board's size that stands all tests, coarse to fine."""
     largest = np.empty((0, 0, 2))
     failure: BoardNotFound | None = None
+    tried: list[Array] = []
     for factor in reductions(grey):
         if factor == 1 and max(grey.shape) > SEARCHED_PX and not _shows_small_squares(largest):
             break
         reduced = reduce(grey, factor)
         for found in find_grids(reduced, find_saddle_points(reduced)):
-            grid = (found + 0.5) * factor - 0.5
+            grid = fill_gaps((found + 0.5) * factor - 0.5)
             if sorted(grid.shape[:2]) == sorted((board.columns, board.rows)):
+                if any(_is_same_start(grid, other) for other in tried):
+                    continue
                 try:
                     return _locate(grey, grid)
                 except BoardNotFound as error:
                     failure = failure or error
+                tried.append(grid)
             elif grid.size > largest.size:
                 largest = grid
     for grid, added in _completed(grey, largest, board):
@@ -89,6 +98,12 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
             if np.mean(squares_meet_in_shadow(grey, corners.points)[added]) > MIN_GOOD_SHARE:
                 return corners
     raise failure or _not_found(grey, largest, board)
+
+
+def _is_same_start(grid: Array, other: Array) -> bool:
+    """Whether the corners of two whole grids, in any order, lead to the same ones at full resolution."""
+    apart = np.linalg.norm(grid.reshape(-1, 1, 2) - other.reshape(-1, 2), axis=2).min(axis=1)
+    return bool(apart.max() < SAME_START_SHARE * square_size(grid))
 
 
 def _completed(grey: GreyImage, grid: Array, board: Chessboard) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
@@ -126,12 +141,12 @@ def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound
     rows, columns = sorted(grid.shape[:2])
     asked_rows, asked_columns = sorted((board.rows, board.columns))
     part = grid[:LOOKED_AT, :LOOKED_AT]
-    corners = refine_corners(grey, fill_gaps(part)) if rows >= 3 and rows * columns >= MIN_CLAIMED else None
+    corners = refine_corners(grey, part) if rows >= 3 and rows * columns >= MIN_CLAIMED else None
     if corners is None or _passing(grey, corners) < MIN_GOOD_SHARE:
         return BoardNotFound(
             "no board", "No chessboard is to be seen; show it whole, well lit, with a white margin."
         )
-    if _is_blurred(corners, MAX_EDGE_SHARE):
+    if _is_blurred(corners, whole=False):
         return _blurred(corners)
     if board.columns < board.rows:
         rows, columns, asked_rows, asked_columns = columns, rows, asked_columns, asked_rows
@@ -155,8 +170,13 @@ def _passing(grey: GreyImage, corners: RefinedCorners) -> float:
     return float(np.mean(corners.good & (np.linalg.norm(residuals, axis=2) < allowed)))
 
 
-def _is_blurred(corners: RefinedCorners, share: float) -> bool:
-    return edge_width(corners.blur) > share * square_size(corners.points)
+def _is_blurred(corners: RefinedCorners, whole: bool) -> bool:
+    """Whether the edges run into each other; more is admitted when the whole board stands the tests."""
+    square = square_size(corners.points)
+    widest = MAX_EDGE_SHARE * square
+    if whole:
+        widest = max(widest, MAX_BLURRED_SHARE * min(square, RESOLVED_PX))
+    return edge_width(corners.blur) > widest
 
 
 def _blurred(corners: RefinedCorners) -> BoardNotFound:
@@ -172,16 +192,17 @@ def _at_border(grey: GreyImage, grid: Array) -> bool:
 
 def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
     """Corners at full resolution; those that fail are looked for again where the others put them."""
-    grid = fill_gaps(grid)
-    for _ in range(_ATTEMPTS):
-        corners = refine_corners(grey, grid)
+    corners = refine_corners(grey, grid)
+    for attempt in range(_ATTEMPTS):
         residuals, allowed = planar_residuals(corners, grey.shape)
         misplaced = np.linalg.norm(residuals, axis=2) > allowed
         bad = misplaced | ~corners.good
-        if not bad.any():
+        if not bad.any() or attempt + 1 == _ATTEMPTS:
             break
         grid = np.where(bad[..., None], corners.points - residuals, corners.points)
-    if _is_blurred(corners, MAX_EDGE_SHARE if bad.any() else MAX_BLURRED_SHARE):
+        again = refine_corners(grey, np.where(bad[..., None], grid, np.nan), affine_frames(grid))
+        corners = corners.updated(again, bad)
+    if _is_blurred(corners, whole=not bad.any()):
         raise _blurred(corners)
     if outside(grey.shape, corners.points, MIN_BORDER_PX):
         raise BoardNotFound(

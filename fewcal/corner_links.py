@@ -50,6 +50,8 @@ def find_links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, N
         Whether the pair is on the start's first edge.
     """
     start, end, along_first = _neighbours(image, saddles)
+    if len(start) == 0:
+        return start, end, along_first
     sides = _sides_of_squares(start, end, len(saddles.points))
     return start[sides], end[sides], along_first[sides]
 

@@ -38,6 +38,13 @@ def test_a_chain_without_squares_is_no_board() -> None:
     assert len(start) == len(end) == len(along_first) == 0
 
 
+def test_corners_that_no_edge_joins_have_no_links() -> None:
+    image, _ = picture(pose(BOARD, 30))
+    saddles = find_saddle_points(image)
+    blank = np.full_like(image, 90)
+    assert all(len(part) == 0 for part in find_links(blank, saddles))
+
+
 def test_directions_differ_by_a_right_angle_at_most() -> None:
     np.testing.assert_allclose(
         turn(np.radians([0, 10, 90, 170, 180, -100])), np.radians([0, 10, 90, 10, 0, 80])

@@ -17,18 +17,22 @@ sub-pixel
 rms is the error of a corner over both coordinates, median over the images in which the detector found the
 board; ratio is fewcal's over that of the better of OpenCV's, median over the images; found counts boards. z
 is the rms of fewcal's error over the sigma it reports (1 is right). Bias is the mean error of fewcal towards
-the light, and away from the middle of the image, thousandths of a pixel, with its standard error.
+the light, and away from the middle of the image, thousandths of a pixel, with its standard error. ms is the
+median time of each detector.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+from detectors import calib_targets
 from numpy.typing import NDArray
 
 from fewcal import Board, BoardNotFound, Camera, Chessboard, detect
@@ -82,6 +86,7 @@ CASES = (
     USUAL,
     *(replace(USUAL, name=f"tilt {tilt} deg", tilt_deg=(tilt, tilt)) for tilt in (0, 20, 40, 60, 70)),
     *(replace(USUAL, name=f"blur {blur} px").under(blur_px=blur) for blur in (0.5, 1.0, 1.5, 2.0)),
+    replace(USUAL, name="blur 4.2 px, squares 15 px", square_px=15.0).under(blur_px=4.2),
     *(replace(USUAL, name=f"noise {noise} levels").under(read_noise=noise) for noise in (1, 4, 8)),
     *(replace(USUAL, name=f"squares {px} px", square_px=px) for px in (8, 12, 20, 60, 120)),
     *(
@@ -123,17 +128,7 @@ def take(
     width = max(640, 16 * round(case.square_px))
     size = (width, round(0.75 * width))
     camera = barrel_camera(size, case.barrel)
-    centre = board.points.mean(axis=0)[:2]
-    left, top, right, bottom = board.draw().ink
-    outline = np.array([[left, top, 0], [right, top, 0], [right, bottom, 0], [left, bottom, 0]])
-    distance = camera.fx * unit_m / case.square_px
-    while True:
-        about, roll = rng.uniform(0, 360), rng.uniform(-25, 25)
-        T = board_pose(rng.uniform(*case.tilt_deg), about, roll, distance, centre)
-        T[:2, 3] += rng.uniform(-0.15, 0.15, 2) * distance
-        seen = camera.project(outline, T)
-        if (seen > BORDER_PX).all() and (seen < np.array(size) - BORDER_PX).all():
-            break
+    T = place(board, camera, size, case.tilt_deg, case.square_px, rng, unit_m)
     light_deg = rng.uniform(0, 360)
     light = replace(case.light, light_deg=light_deg)
     image = render(camera, size, board, T, light, rng=rng, oversampling=OVERSAMPLING)
@@ -146,6 +141,29 @@ def take(
         outwards / np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1e-9),
         np.broadcast_to(direction, truth.shape),
     )
+
+
+def place(
+    board: Board,
+    camera: Camera,
+    size: tuple[int, int],
+    tilt_deg: tuple[float, float],
+    square_px: float,
+    rng: np.random.Generator,
+    unit_m: float = BOARD.square_size,
+) -> Array:
+    """Random pose (4, 4) that shows the whole board, `unit_m` of it `square_px` long when seen face on."""
+    centre = board.points.mean(axis=0)[:2]
+    left, top, right, bottom = board.draw().ink
+    outline = np.array([[left, top, 0], [right, top, 0], [right, bottom, 0], [left, bottom, 0]])
+    distance = camera.fx * unit_m / square_px
+    while True:
+        about, roll = rng.uniform(0, 360), rng.uniform(-25, 25)
+        T = board_pose(rng.uniform(*tilt_deg), about, roll, distance, centre)
+        T[:2, 3] += rng.uniform(-0.15, 0.15, 2) * distance
+        seen = camera.project(outline, T)
+        if (seen > BORDER_PX).all() and (seen < np.array(size) - BORDER_PX).all():
+            return T
 
 
 def barrel_camera(size: tuple[int, int], barrel: float) -> Camera:
@@ -174,20 +192,29 @@ def sector_based(image: Image) -> Found | None:
 def sub_pixel(image: Image) -> Found | None:
     """Corners of findChessboardCorners, located by cornerSubPix."""
     found, corners = cv2.findChessboardCorners(image, (BOARD.columns, BOARD.rows))
-    if not found:
-        return None
-    grid = corners.reshape(BOARD.rows, BOARD.columns, 2)
+    return Found(corner_sub_pix(image, corners, BOARD)) if found else None
+
+
+def corner_sub_pix(image: Image, corners: Array, board: Chessboard) -> Array:
+    """Locate corners (N, 2) by cornerSubPix, with an 11x11 window or half a square where that is less."""
+    grid = corners.reshape(board.rows, board.columns, 2)
     square = min(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1))
     half = int(np.clip(square / 2, 1, 5))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
-    return Found(cv2.cornerSubPix(image, corners, (half, half), (-1, -1), stop).reshape(-1, 2))
+    start = np.array(corners, dtype=np.float32).reshape(-1, 1, 2)
+    return np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), stop)).reshape(-1, 2)
 
 
-DETECTORS: dict[str, Callable[[Image], Found | None]] = {
-    "fewcal": ours,
-    "SB": sector_based,
-    "sub-pixel": sub_pixel,
-}
+def with_calib_targets(image: Image) -> Found | None:
+    """Corners that calib-targets finds."""
+    corners = calib_targets(image, BOARD)
+    return None if corners is None else Found(corners)
+
+
+OPENCV: dict[str, Callable[[Image], Found | None]] = {"SB": sector_based, "sub-pixel": sub_pixel}
+DETECTORS: dict[str, Callable[[Image], Found | None]] = {"fewcal": ours, **OPENCV}
+if importlib.util.find_spec("calib_targets"):
+    DETECTORS["calib-targets"] = with_calib_targets
 
 
 def errors(found: Found | None, shot: Shot, any_order: bool) -> Array | None:
@@ -213,6 +240,7 @@ class Tally:
     def __init__(self) -> None:
         self.rms: list[dict[str, float]] = []
         self.found = dict.fromkeys(DETECTORS, 0)
+        self.seconds: dict[str, list[float]] = {name: [] for name in DETECTORS}
         self.scaled: list[Array] = []
         self.lightwards: list[float] = []
         self.outwards: list[float] = []
@@ -221,7 +249,9 @@ class Tally:
         """Let every detector look at an image."""
         of_image = {}
         for name, detector in DETECTORS.items():
+            start = time.perf_counter()
             found = detector(shot.image)
+            self.seconds[name].append(time.perf_counter() - start)
             error = errors(found, shot, any_order=name != "fewcal")
             if found is None or error is None:
                 continue
@@ -240,14 +270,15 @@ class Tally:
             for detector in DETECTORS
         }
         # Where only one of them finds the board there is nothing to compare.
-        both = [r for r in self.rms if "fewcal" in r and len(r) > 1]
-        ratios = [r["fewcal"] / min(r[d] for d in r if d != "fewcal") for r in both]
+        both = [r for r in self.rms if "fewcal" in r and any(d in r for d in OPENCV)]
+        ratios = [r["fewcal"] / min(r[d] for d in OPENCV if d in r) for r in both]
         cells = [name]
         cells += [f"{median[detector]:.4f}" for detector in DETECTORS]
         cells.append(f"{np.median(ratios) if ratios else np.nan:.2f}")
         cells.append(f"{rms(np.concatenate(self.scaled)) if self.scaled else np.nan:.2f}")
         cells += [_mean_and_error(values) for values in (self.lightwards, self.outwards)]
         cells.append("/".join(str(self.found[detector]) for detector in DETECTORS) + f" of {trials}")
+        cells.append("/".join(f"{1e3 * np.median(self.seconds[detector]):.0f}" for detector in DETECTORS))
         return f"| {' | '.join(cells)} |"
 
 
@@ -267,8 +298,10 @@ def main() -> None:
     parser.add_argument("--only", default="", help="conditions whose name holds this")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    print("| condition | fewcal rms px | SB | sub-pixel | ratio | z | bias to light | outwards | found |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    names = [f"{name}, rms px" for name in DETECTORS]
+    names += ["ratio", "z", "bias to light", "outwards", "found", "ms"]
+    print(f"| condition | {' | '.join(names)} |")
+    print("|---" * (len(names) + 1) + "|")
     for number, case in enumerate(CASES):
         if (options.small and case not in SMALL) or options.only not in case.name:
             continue

@@ -1,68 +1,152 @@
-"""Time the detector against OpenCV's on the same frames, and print the ratios.
+"""Time the detector against OpenCV's on frames of any size, watch its memory, and print markdown tables.
 
-    python experiments/detection_speed.py [--runs 9]
+    python experiments/detection_speed.py [--boards TEXT ...] [--sizes 1920x1080 ...] [--runs 5]
+    python experiments/detection_speed.py --memory 50
 
-A rendered 1920x1080 frame with a 9x6 board among clutter, and the same scene without a board, which is most
-of a live stream. Medians of the ratios of runs side by side.
+A rendered frame with a board among clutter, and the same scene without one, which is most of a live stream.
+Every board stands beside findChessboardCornersSB, without flags, on a frame of the same size with a 9x6
+chessboard (or none), run right after it. Printed for each board and size: milliseconds with a board and
+without, and the medians of the ratios.
+
+`--memory N` prints instead how much the resident memory of the process rises by a first few detections, and
+by N more.
 """
 
 from __future__ import annotations
 
 import argparse
+import resource
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from fewcal import BoardNotFound, Camera, Chessboard, detect
+from fewcal import Board, BoardNotFound, Camera, Chessboard, detect, parse_board
 from fewcal.rendering import clutter, render
 from fewcal.virtual_camera import board_pose
 
-SIZE = (1920, 1080)
-CAMERA = Camera(1800.0, 1800.0, 959.5, 539.5, [-0.1, 0.02, 0.0, 0.0, 0.0])
-BOARD = Chessboard(9, 6, 0.025)
+Image = NDArray[np.uint8]
+
+SIZES = ((640, 480), (1920, 1080), (4000, 3000))
+BOARDS = (
+    "chessboard:9x6:0.025",
+    "charuco:7x5:0.035:0.026:DICT_5X5_100",
+    "aprilgrid:6x4:0.03:0.3:tag36h11",
+    "circles:10x7:0.02",
+    "acircles:4x11:0.02",
+)
+OPENCV = Chessboard(9, 6, 0.025)
+BOARD_SHARE = 0.4
+"""Length of the board, seen face on, as a share of the image's width."""
+WARM = 5
+"""Detections before memory is held to be that of use."""
 
 
-def seconds(detector: Callable[[np.ndarray], object], image: np.ndarray) -> float:
-    """Wall time of one detection."""
+def frames(size: tuple[int, int], board: Board) -> tuple[Image, Image]:
+    """Render an image with a board, and one without."""
+    focal = 0.94 * size[0]
+    camera = Camera(focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2, [-0.1, 0.02, 0.0, 0.0, 0.0])
+    points = board.points[:, :2]
+    distance = focal * np.ptp(points, axis=0).max() / (BOARD_SHARE * size[0])
+    T = board_pose(30, 20, 15, distance, points.mean(axis=0))
+    background = clutter(size, np.random.default_rng(1))
+    return (
+        render(camera, size, board, T, background=background),
+        render(camera, size, None, None, background=background),
+    )
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """Wall time of a call."""
     start = time.perf_counter()
-    detector(image)
+    work()
     return time.perf_counter() - start
 
 
-def ours(image: np.ndarray) -> bool:
-    """Whether fewcal finds the board."""
+def is_found(image: Image, board: Board) -> bool:
+    """Whether fewcal finds a board."""
     try:
-        detect(image, BOARD)
+        detect(image, board)
     except BoardNotFound:
         return False
     return True
 
 
-def theirs(image: np.ndarray) -> bool:
-    """Whether OpenCV does."""
-    return bool(cv2.findChessboardCornersSB(image, (BOARD.columns, BOARD.rows))[0])
+def row(size: tuple[int, int], text: str, runs: int) -> str:
+    """Time one kind of board; one line of the table."""
+    board = parse_board(text)
+    pictures = frames(size, board)
+    of_opencv = pictures if board == OPENCV else frames(size, OPENCV)
+    cells = [f"{size[0]}x{size[1]}", text]
+    for ours, theirs in zip(pictures, of_opencv, strict=True):
+        found = is_found(ours, board)
+        pairs = [
+            (
+                seconds(lambda image=ours: is_found(image, board)),
+                seconds(
+                    lambda image=theirs: cv2.findChessboardCornersSB(image, (OPENCV.columns, OPENCV.rows))
+                ),
+            )
+            for _ in range(runs)
+        ]
+        best, of_sb = (1e3 * min(times) for times in zip(*pairs, strict=True))
+        ratio = np.median([a / b for a, b in pairs])
+        cells.append(f"{best:.0f} ({'found' if found else 'none'}) | {of_sb:.0f} | {ratio:.2f}")
+    return f"| {' | '.join(cells)} |"
+
+
+def resident_mb() -> float:
+    """Resident memory of this process, on Linux."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def memory_row(size: tuple[int, int], text: str, runs: int) -> str:
+    """Watch the memory over detections with a board and without, in turn; one line of the table."""
+    board = parse_board(text)
+    with ProcessPoolExecutor(1) as pool:  # rendering takes more memory, and keeps it
+        pictures = pool.submit(frames, size, board).result()
+    start = resident_mb()
+    for _ in range(WARM):
+        for image in pictures:
+            is_found(image, board)
+    warm = resident_mb()
+    for _ in range(runs):
+        for image in pictures:
+            is_found(image, board)
+    return f"| {size[0]}x{size[1]} | {text} | {warm - start:.1f} | {resident_mb() - warm:.1f} |"
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Read WIDTHxHEIGHT."""
+    width, height = (int(part) for part in text.split("x"))
+    return width, height
 
 
 def main() -> None:
-    """Print one line a frame."""
+    """Print a line a board and size."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--runs", type=int, default=9)
-    runs = parser.parse_args().runs
-    background = clutter(SIZE, np.random.default_rng(1))
-    T = board_pose(30, 20, 15, 0.6, (0.1, 0.0625))
-    frames = {
-        "with a board": render(CAMERA, SIZE, BOARD, T, background=background),
-        "without": render(CAMERA, SIZE, None, None, background=background),
-    }
-    for name, image in frames.items():
-        pairs = [(seconds(ours, image), seconds(theirs, image)) for _ in range(runs)]
-        ratio = np.median([a / b for a, b in pairs])
-        print(
-            f"{name:13s} found: {ours(image)!s:5s} fewcal {1e3 * min(a for a, _ in pairs):6.1f} ms, "
-            f"findChessboardCornersSB {1e3 * min(b for _, b in pairs):6.1f} ms, median ratio {ratio:.3f}"
-        )
+    parser.add_argument(
+        "--boards", nargs="+", metavar="TEXT", default=BOARDS, help="default: one of each kind"
+    )
+    parser.add_argument("--sizes", nargs="+", metavar="WxH", type=parse_size, default=SIZES)
+    parser.add_argument("--runs", type=int, default=5, help="of each frame (default 5)")
+    parser.add_argument("--memory", type=int, metavar="N", help="watch memory over so many rounds instead")
+    options = parser.parse_args()
+    if options.memory:
+        print("| size | board | MB by the first | MB by the others |")
+        print("|---|---|---|---|")
+    else:
+        print("| size | board | with, ms | SB | ratio | without, ms | SB | ratio |")
+        print("|---|---|---|---|---|---|---|---|")
+    for size in options.sizes:
+        for text in options.boards:
+            line = memory_row(size, text, options.memory) if options.memory else row(size, text, options.runs)
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

@@ -17,16 +17,19 @@ The order of the corners is that of ``Chessboard.points``, and it is always the 
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .corner_refinement import RefinedCorners, refine_corners
-from .detection import MIN_BORDER_PX, Detection, blurred, edge_width, is_blurred, outside
+from .corner_refinement import MAX_RADIUS_PX, WINDOW_SHARE, RefinedCorners, affine_frames, refine_corners
+from .detection import MAX_EDGE_SHARE, MIN_BORDER_PX, Detection, blurred, edge_width, outside
 from .errors import BoardNotFound
 from .grey import GreyImage
-from .grid import fill_gaps, find_grids, local_axes, predict, square_size
+from .grid import fill_gaps, find_grids, local_axes, predict, square_size, squares_meet_in_shadow
 from .planarity import planar_residuals
 from .reduction import SEARCHED_PX, reduce, reductions
 from .saddle_points import find_saddle_points, sample
@@ -44,8 +47,16 @@ MIN_GOOD_SHARE = 0.75
 MIN_CLAIMED = 12
 """Corners that a grid of another size must have before it is called a board: code and texture often line up
 three by three."""
+MAX_BLURRED_SHARE = 0.75
+"""Widest edge as a share of the square when every corner stands the tests: up to it sigma is right, beyond it
+the next edges reach into the window of a corner."""
+RESOLVED_PX = MAX_RADIUS_PX / WINDOW_SHARE
+"""Squares up to which the window grows with them; in larger ones it shows no wider edges than in these."""
 LOOKED_AT = 8
 """Rows and columns of it that are tested: enough to tell, and quick on a large board."""
+SAME_START_SHARE = 0.2
+"""Corners are located from any start within so much of a square: what a finer copy puts no farther from what
+failed would fail as well."""
 _ATTEMPTS = 3
 """Rounds of looking again for corners that were wrong; glare often moves one by a part of a square."""
 
@@ -64,20 +75,60 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
     """Locate the first grid of the board's size that stands all tests, coarse to fine."""
     largest = np.empty((0, 0, 2))
     failure: BoardNotFound | None = None
+    tried: list[Array] = []
     for factor in reductions(grey):
-        if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(largest / factor):
+        if factor == 1 and max(grey.shape) > SEARCHED_PX and not _shows_small_squares(largest):
             break
         reduced = reduce(grey, factor)
         for found in find_grids(reduced, find_saddle_points(reduced)):
-            grid = (found + 0.5) * factor - 0.5
+            grid = fill_gaps((found + 0.5) * factor - 0.5)
             if sorted(grid.shape[:2]) == sorted((board.columns, board.rows)):
+                if any(_is_same_start(grid, other) for other in tried):
+                    continue
                 try:
                     return _locate(grey, grid)
                 except BoardNotFound as error:
                     failure = failure or error
+                tried.append(grid)
             elif grid.size > largest.size:
                 largest = grid
+    for grid, added in _completed(grey, largest, board):
+        with contextlib.suppress(BoardNotFound):
+            corners = _locate(grey, grid)
+            if np.mean(squares_meet_in_shadow(grey, corners.points)[added]) > MIN_GOOD_SHARE:
+                return corners
     raise failure or _not_found(grey, largest, board)
+
+
+def _is_same_start(grid: Array, other: Array) -> bool:
+    """Whether the corners of two whole grids, in any order, lead to the same ones at full resolution."""
+    apart = np.linalg.norm(grid.reshape(-1, 1, 2) - other.reshape(-1, 2), axis=2).min(axis=1)
+    return bool(apart.max() < SAME_START_SHARE * square_size(grid))
+
+
+def _completed(grey: GreyImage, grid: Array, board: Chessboard) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
+    """Complete a grid that lacks an outer row or column, as a shadow may hide it, to the board's size.
+
+    Yields
+    ------
+    grid : (R, C, 2)
+        Pixels; the missing corners where the others predict them.
+    added : (R, C)
+        Which these are.
+    """
+    rows, columns = grid.shape[:2]
+    for size in {(board.rows, board.columns), (board.columns, board.rows)}:
+        short = size[0] - rows, size[1] - columns
+        if min(rows, columns) < 3 or min(short) < 0 or max(short) != 1:
+            continue
+        for top, left in product(range(short[0] + 1), range(short[1] + 1)):
+            found = np.zeros(size, dtype=bool)
+            found[top : top + rows, left : left + columns] = True
+            whole = np.full((*size, 2), np.nan)
+            whole[found] = grid.reshape(-1, 2)
+            whole = fill_gaps(whole)
+            if not outside(grey.shape, whole, MIN_BORDER_PX):
+                yield whole, ~found
 
 
 def _shows_small_squares(grid: Array) -> bool:
@@ -90,12 +141,12 @@ def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound
     rows, columns = sorted(grid.shape[:2])
     asked_rows, asked_columns = sorted((board.rows, board.columns))
     part = grid[:LOOKED_AT, :LOOKED_AT]
-    corners = refine_corners(grey, fill_gaps(part)) if rows >= 3 and rows * columns >= MIN_CLAIMED else None
+    corners = refine_corners(grey, part) if rows >= 3 and rows * columns >= MIN_CLAIMED else None
     if corners is None or _passing(grey, corners) < MIN_GOOD_SHARE:
         return BoardNotFound(
             "no board", "No chessboard is to be seen; show it whole, well lit, with a white margin."
         )
-    if _is_blurred(corners):
+    if _is_blurred(corners, whole=False):
         return _blurred(corners)
     if board.columns < board.rows:
         rows, columns, asked_rows, asked_columns = columns, rows, asked_columns, asked_rows
@@ -119,8 +170,13 @@ def _passing(grey: GreyImage, corners: RefinedCorners) -> float:
     return float(np.mean(corners.good & (np.linalg.norm(residuals, axis=2) < allowed)))
 
 
-def _is_blurred(corners: RefinedCorners) -> bool:
-    return is_blurred(edge_width(corners.blur), square_size(corners.points))
+def _is_blurred(corners: RefinedCorners, whole: bool) -> bool:
+    """Whether the edges run into each other; more is admitted when the whole board stands the tests."""
+    square = square_size(corners.points)
+    widest = MAX_EDGE_SHARE * square
+    if whole:
+        widest = max(widest, MAX_BLURRED_SHARE * min(square, RESOLVED_PX))
+    return edge_width(corners.blur) > widest
 
 
 def _blurred(corners: RefinedCorners) -> BoardNotFound:
@@ -136,16 +192,17 @@ def _at_border(grey: GreyImage, grid: Array) -> bool:
 
 def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
     """Corners at full resolution; those that fail are looked for again where the others put them."""
-    grid = fill_gaps(grid)
-    for _ in range(_ATTEMPTS):
-        corners = refine_corners(grey, grid)
+    corners = refine_corners(grey, grid)
+    for attempt in range(_ATTEMPTS):
         residuals, allowed = planar_residuals(corners, grey.shape)
         misplaced = np.linalg.norm(residuals, axis=2) > allowed
         bad = misplaced | ~corners.good
-        if not bad.any():
+        if not bad.any() or attempt + 1 == _ATTEMPTS:
             break
         grid = np.where(bad[..., None], corners.points - residuals, corners.points)
-    if _is_blurred(corners):
+        again = refine_corners(grey, np.where(bad[..., None], grid, np.nan), affine_frames(grid))
+        corners = corners.updated(again, bad)
+    if _is_blurred(corners, whole=not bad.any()):
         raise _blurred(corners)
     if outside(grey.shape, corners.points, MIN_BORDER_PX):
         raise BoardNotFound(

@@ -24,7 +24,7 @@ being such that both are in the bright squares. The bits inside are left out of 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,6 +123,13 @@ class RefinedCorners:
         enough = step * np.sign(usual) > MIN_CONTRAST_SHARE * abs(usual)
         return np.asarray(explained & enough)
 
+    def updated(self, other: RefinedCorners, where: NDArray[np.bool_]) -> RefinedCorners:
+        """Give the same corners, with others where (R, C)."""
+        pairs = ((getattr(self, part.name), getattr(other, part.name)) for part in fields(self))
+        return RefinedCorners(
+            *(np.where(where.reshape(where.shape + (1,) * (own.ndim - 2)), new, own) for own, new in pairs)
+        )
+
 
 def refine_corners(
     image: Image, grid: Array, frames: Array | None = None, squares: Squares = PLAIN
@@ -142,14 +149,20 @@ def refine_corners(
         What is in them.
     """
     if frames is None:
-        frames = np.zeros((*grid.shape[:2], 3, 3))
-        frames[..., :2, 0], frames[..., :2, 1] = local_axes(grid)
-        frames[..., 2, 2] = 1
+        frames = affine_frames(grid)
     known = np.isfinite(grid).all(axis=-1)
     p, (sigma, explained) = np.full((*known.shape, _PARAMETERS), np.nan), np.full((2, *known.shape), np.nan)
     if known.any():
         p[known], sigma[known], explained[known] = _fit(image, grid[known], frames[known], squares)
     return RefinedCorners(p[..., :2], sigma, p[..., 4:6], p[..., 7], explained)
+
+
+def affine_frames(grid: Array) -> Array:
+    """Frames (R, C, 3, 3) of the corners of a grid (R, C, 2), all of which are known."""
+    frames = np.zeros((*grid.shape[:2], 3, 3))
+    frames[..., :2, 0], frames[..., :2, 1] = local_axes(grid)
+    frames[..., 2, 2] = 1
+    return frames
 
 
 def _fit(image: Image, start: Array, frames: Array, squares: Squares) -> tuple[Array, Array, Array]:

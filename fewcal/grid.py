@@ -1,10 +1,7 @@
 """From loose corners to the grid of a chessboard, of whatever size it has.
 
-Two corners are neighbours when an edge runs from one to the other, dark on one side and bright on the other
-all the way, and when each is the other's nearest in that direction. Along an edge dark and bright change
-sides at each corner, so the edge that enters a dark sector at one corner leaves one at the next: chance
-hardly ever imitates that. Chains of neighbours give integer coordinates; corners that were missed are looked
-for where their neighbours predict them.
+Chains of neighbours give integer coordinates; corners that were missed are looked for where their neighbours
+predict them.
 """
 
 from __future__ import annotations
@@ -14,24 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .corner_links import EDGE_CONTRAST, Indices, find_links, turn
 from .saddle_points import Image, SaddlePoints, sample
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
-NEAREST = 14
-"""Corners looked at around each one: its 8 on the board, and as many of clutter between them."""
-EDGE_TOLERANCE_RAD = 0.35
-"""How far a neighbour may lie off the direction of an edge: 20 deg, for a short and distorted edge."""
-SECTOR_SHARE = 0.4
-"""The same as a share of the narrower sector, so that one direction is never taken for the other."""
-EDGE_SIDE = 0.25
-"""How far to either side of an edge the step is measured, as a share of its length."""
-EDGE_CONTRAST = 0.3
-"""Step across an edge between two corners, as a share of the stronger corner's contrast."""
 MIN_CORNERS = 8
 """Fewest linked corners that are worth growing: the smallest board, 3x3, less one."""
 QUADRANT_SHARE = 0.25
@@ -79,7 +66,7 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
 
     if len(saddles.points) < MIN_CORNERS:
         return []
-    start, end, along_first = _links(image, saddles)
+    start, end, along_first = find_links(image, saddles)
     if len(start) == 0:
         return []
     count = len(saddles.points)
@@ -112,57 +99,6 @@ def _area(grid: Array) -> float:
     across, down = local_axes(grid)
     squares = np.abs(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])
     return float(np.nansum(squares))
-
-
-def _turn(angle: Array) -> Array:
-    """Difference of two undirected directions, radians, between 0 and pi / 2."""
-    return np.abs((angle + np.pi / 2) % np.pi - np.pi / 2)
-
-
-def _links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArray[np.bool_]]:
-    """Pairs of neighbouring corners, each pair both ways, and whether it is on the start's first edge."""
-    from scipy.spatial import cKDTree
-
-    points, edges = saddles.points, saddles.edges
-    near = min(NEAREST + 1, len(points))
-    _, neighbours = cKDTree(points).query(points, k=near)
-    start = np.repeat(np.arange(len(points)), near - 1)
-    end = np.asarray(neighbours, dtype=np.intp)[:, 1:].ravel()
-    step = points[end] - points[start]
-    # Sine of the angle between the step and each edge, from the cross product, against the tolerance.
-    normals = np.stack([-np.sin(edges), np.cos(edges)], axis=-1)
-    sector = _turn(edges[:, 1] - edges[:, 0])
-    tolerance = np.sin(np.minimum(EDGE_TOLERANCE_RAD, SECTOR_SHARE * sector))
-    length = np.hypot(step[:, 0], step[:, 1])
-    on_start = np.abs(np.einsum("pi,pei->pe", step, normals[start])) < (tolerance[start] * length)[:, None]
-    on_end = np.abs(np.einsum("pi,pei->pe", step, normals[end])) < (tolerance[end] * length)[:, None]
-    first = on_start[:, 0] & on_end[:, 1]
-    kept = np.flatnonzero(first | (on_start[:, 1] & on_end[:, 0]))
-    kept = kept[_is_edge(image, saddles, start[kept], end[kept], first[kept])]
-    start, end, first, step, length = start[kept], end[kept], first[kept], step[kept], length[kept]
-    angle = np.where(first, edges[start, 0], edges[start, 1])
-    forward = step[:, 0] * np.cos(angle) + step[:, 1] * np.sin(angle) > 0
-    slot = 4 * start + 2 * first + forward
-    order = np.lexsort([length, slot])
-    _, nearest = np.unique(slot[order], return_index=True)
-    kept = order[nearest]
-    start, end, first = start[kept], end[kept], first[kept]
-    mutual = np.isin(start * len(points) + end, end * len(points) + start)
-    return start[mutual], end[mutual], first[mutual]
-
-
-def _is_edge(
-    image: Image, saddles: SaddlePoints, start: Indices, end: Indices, first: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Whether the brightness steps the right way across the line from start to end, all along it."""
-    a, b = saddles.points[start], saddles.points[end]
-    step = b - a
-    # Seen along an edge that opens a dark sector, the side towards increasing angle is dark.
-    side = np.stack([-step[:, 1], step[:, 0]], axis=1) * np.where(first, EDGE_SIDE, -EDGE_SIDE)[:, None]
-    along = a[:, None] + step[:, None] * np.array([0.3, 0.5, 0.7])[:, None]
-    drop = sample(image, along - side[:, None]) - sample(image, along + side[:, None])
-    needed = EDGE_CONTRAST * np.maximum(saddles.contrast[start], saddles.contrast[end])
-    return np.asarray((drop > needed[:, None]).all(axis=1))
 
 
 def _coordinates(
@@ -310,8 +246,8 @@ def _right_way_round(
         own = np.where(np.isfinite(own), own, mean)
         angles.append(np.arctan2(own[:, 1], own[:, 0]))
     along_row, along_column = angles
-    upright = _turn(edges[:, 0] - along_row) + _turn(edges[:, 1] - along_column)
-    turned = _turn(edges[:, 0] - along_column) + _turn(edges[:, 1] - along_row)
+    upright = turn(edges[:, 0] - along_row) + turn(edges[:, 1] - along_column)
+    turned = turn(edges[:, 0] - along_column) + turn(edges[:, 1] - along_row)
     return np.asarray((turned < upright) == (((rows + columns) % 2 == 1) ^ swapped))
 
 
@@ -375,6 +311,29 @@ def _rim_share(known: NDArray[np.bool_], meet: NDArray[np.bool_]) -> float:
 
 def _squares_meet(image: Image, grid: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which corners are known, and at which of them two dark and two bright squares meet crosswise."""
+    known, dark, bright, contrast = _quadrants(image, grid)
+    return known, known & (bright - dark > EDGE_CONTRAST * contrast)
+
+
+def squares_meet_in_shadow(image: Image, grid: Array) -> NDArray[np.bool_]:
+    """Which corners (R, C) of a grid two dark and two bright squares meet at, if need be half in a shadow."""
+    known, dark, bright, _ = _quadrants(image, grid)
+    return known & (bright - dark > EDGE_CONTRAST * bright)
+
+
+def _quadrants(image: Image, grid: Array) -> tuple[NDArray[np.bool_], Array, Array, Array]:
+    """Squares about each corner (R, C).
+
+    Returns
+    -------
+    known : (R, C)
+        Whether the corner and enough of its neighbours are known.
+    dark, bright : (R, C)
+        Brighter one of the two opposite squares that are darker, and darker one of the two others; grey
+        levels.
+    contrast : (R, C)
+        From the darkest to the brightest of the four.
+    """
     across, down = (QUADRANT_SHARE * axes for axes in local_axes(grid))
     known = np.asarray(np.isfinite(grid + across + down).all(axis=2))
     quadrants = np.stack(
@@ -382,5 +341,7 @@ def _squares_meet(image: Image, grid: Array) -> tuple[NDArray[np.bool_], NDArray
     )
     values = sample(image, np.where(known[..., None], quadrants, 0))
     one, other = values[:2], values[2:]
-    gap = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
-    return known, np.asarray(known & (gap > EDGE_CONTRAST * np.ptp(values, axis=0)))
+    first_bright = one.sum(axis=0) > other.sum(axis=0)
+    bright = np.where(first_bright, one.min(axis=0), other.min(axis=0))
+    dark = np.where(first_bright, other.max(axis=0), one.max(axis=0))
+    return known, dark, bright, np.ptp(values, axis=0)

@@ -25,7 +25,10 @@ MAX_RESIDUAL_SHARE = 0.07
 """Largest residual of a good corner as a share of its square: 110 deg lenses and paper that came off the wall
 stay at half of it."""
 MAX_RESIDUAL_SIGMAS = 6.0
-"""A blurred corner may miss by its own uncertainty."""
+"""A blurred corner may miss by its own uncertainty,"""
+MAX_UNCERTAIN_SHARE = 0.42
+"""but by no more than this share of its square: what strays from the window that it was looked for in belongs
+elsewhere, however uncertain."""
 DIVISIONS = np.linspace(-0.9, 0.3, 13)
 """Values of lambda tried, radii as a share of half the diagonal: from a fisheye to a strong pincushion."""
 MIN_STRETCH = 0.05
@@ -95,7 +98,10 @@ def plane_residuals(
     middle, half_diagonal = half_diagonals(image_shape)
     found = (pixels - middle) / half_diagonal
     residuals = half_diagonal * _residuals(plane, found, spacing / half_diagonal)
-    return residuals, np.maximum(MAX_RESIDUAL_SHARE * spacing, MAX_RESIDUAL_SIGMAS * sigma)
+    allowed = np.clip(
+        MAX_RESIDUAL_SIGMAS * sigma, MAX_RESIDUAL_SHARE * spacing, MAX_UNCERTAIN_SHARE * spacing
+    )
+    return residuals, allowed
 
 
 def half_diagonals(image_shape: tuple[int, ...]) -> tuple[Array, float]:

@@ -6,8 +6,9 @@ import cv2
 
 from .grey import GreyImage
 
-COARSEST_PX = 300
-"""No reduced copy is smaller than this on its long side: a board across half of it has squares of 15 px."""
+COARSEST_PX = 75
+"""No reduced copy is smaller than this on its long side: a board across all of it has squares of 8 px at
+least, and a blur that hides the corners of large squares is no more than a pixel wide there."""
 SEARCHED_PX = 1000
 """Copies up to this size are always searched, larger ones only when there is evidence of a board; on a
 1920x1080 image that is every copy but the full one."""
@@ -22,9 +23,13 @@ def reductions(grey: GreyImage) -> list[int]:
 
 
 def reduce(grey: GreyImage, factor: int) -> GreyImage:
-    """Mean over blocks of factor x factor pixels; a rest at the right and the bottom is left out."""
-    if factor == 1:
-        return grey
-    height, width = (size // factor for size in grey.shape)
-    block = grey[: height * factor, : width * factor]
-    return cv2.resize(block, (width, height), interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
+    """Mean over blocks of factor x factor pixels, a power of two; a rest at the right and below is left out.
+
+    Rounded at each halving, which is ten times as fast as one mean over large blocks.
+    """
+    while factor > 1:
+        height, width = (size // 2 for size in grey.shape)
+        block = grey[: 2 * height, : 2 * width]
+        grey = cv2.resize(block, (width, height), interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+        factor //= 2
+    return grey

@@ -112,36 +112,38 @@ def _peaks(smooth: NDArray[np.float32], min_contrast: float) -> Array:
 def _with_four_sectors(smooth: NDArray[np.float32], peaks: Array, min_contrast: float) -> SaddlePoints:
     """Keep the peaks around which dark and bright alternate four times, and measure their edges."""
     half = RING_SAMPLES // 2
-    angles = np.arange(RING_SAMPLES) * (2 * np.pi / RING_SAMPLES)
-    ring = peaks[:, None] + RING_RADIUS_PX * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    values = sample(smooth, ring)
-    even = (values[:, :half] + values[:, half:]) / 2
-    odd = (values[:, :half] - values[:, half:]) / 2
-    middle = (even.max(axis=1, keepdims=True) + even.min(axis=1, keepdims=True)) / 2
-    centre = sample(smooth, peaks) - middle[:, 0]
+    angles = np.arange(RING_SAMPLES)[:, None] * (2 * np.pi / RING_SAMPLES)
+    x, y = peaks.T
+    ring = np.stack([x + RING_RADIUS_PX * np.cos(angles), y + RING_RADIUS_PX * np.sin(angles)], axis=-1)
+    values = sample(smooth, ring)  # one column a peak: so the sums below run along many of them at a time
+    even = (values[:half] + values[half:]) / 2
+    odd = (values[:half] - values[half:]) / 2
+    middle = (even.max(axis=0) + even.min(axis=0)) / 2
+    centre = sample(smooth, peaks) - middle
     even = even - middle
-    energy = np.sum(even**2, axis=1) + np.sum(odd**2, axis=1)
-    following = np.roll(even, -1, axis=1)
-    following[:, -1] = even[:, 0]  # half a turn further the circle repeats itself
+    step = even.max(axis=0) - even.min(axis=0)
+    energy = np.sum(even**2, axis=0) + np.sum(odd**2, axis=0)
+    following = np.roll(even, -1, axis=0)
+    following[-1] = even[0]  # half a turn further the circle repeats itself
     falls, rises = (even > 0) & (following <= 0), (even <= 0) & (following > 0)
     good = (
-        (falls.sum(axis=1) == 1)
-        & (rises.sum(axis=1) == 1)
-        & (np.sum(odd**2, axis=1) < MAX_ASYMMETRY * energy)
-        & (np.ptp(even, axis=1) > min_contrast)
-        & (np.abs(centre) < MAX_CENTRE_SHARE * np.ptp(even, axis=1))
+        (falls.sum(axis=0) == 1)
+        & (rises.sum(axis=0) == 1)
+        & (np.sum(odd**2, axis=0) < MAX_ASYMMETRY * energy)
+        & (step > min_contrast)
+        & (np.abs(centre) < MAX_CENTRE_SHARE * step)
     )
-    even, following, falls, rises = even[good], following[good], falls[good], rises[good]
+    even, following, falls, rises = (part[:, good] for part in (even, following, falls, rises))
     into_dark, into_bright = _crossing(even, following, falls), _crossing(even, following, rises)
     edges = np.stack([into_dark, into_bright], axis=1) * (np.pi / half)
-    return SaddlePoints(peaks[good], edges, np.ptp(even, axis=1))
+    return SaddlePoints(peaks[good], edges, step[good])
 
 
 def _crossing(value: Array, following: Array, where: NDArray[np.bool_]) -> Array:
-    """Position, in samples, at which each row passes through zero."""
-    index = np.argmax(where, axis=1)[:, None]
-    before, after = np.take_along_axis(value, index, 1), np.take_along_axis(following, index, 1)
-    return np.asarray((index + before / (before - after))[:, 0], dtype=np.float64)
+    """Position, in samples, at which each column passes through zero."""
+    index = np.argmax(where, axis=0)[None]
+    before, after = np.take_along_axis(value, index, 0), np.take_along_axis(following, index, 0)
+    return np.asarray((index + before / (before - after))[0], dtype=np.float64)
 
 
 def sample(image: Image, points: Array) -> Array:

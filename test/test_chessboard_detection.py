@@ -186,10 +186,92 @@ def test_covered_corners_are_not_invented() -> None:
         assert "1 of the 54 corners" in str(error)
 
 
-@pytest.mark.parametrize("conditions", [{"blur_px": 9.0}, {"motion_px": 22.0}], ids=str)
+@pytest.mark.parametrize("conditions", [{"blur_px": 12.0}, {"motion_px": 40.0}], ids=str)
 def test_a_blurred_board_is_said_to_be_blurred(conditions: dict[str, float]) -> None:
     image, _ = picture(pose(BOARD, 36, 20, 40, 15), **conditions)
     assert refusal(image).reason == "blurred"
+
+
+def test_blur_that_leaves_every_corner_is_no_reason_to_refuse() -> None:
+    z = []
+    for seed in range(4):
+        image, true = picture(
+            pose(BOARD, 18, 20, 70 * seed, 10), seed=seed, blur_px=4.2
+        )  # edges: 0.6 squares
+        view = detect(image, BOARD)
+        assert view.sigma is not None
+        z.append((view.image_points - true) / view.sigma[:, None])
+    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.3
+
+
+@pytest.mark.parametrize("motion_deg", [45.0, 135.0])
+def test_motion_along_a_diagonal_joins_squares_but_hides_no_board(motion_deg: float) -> None:
+    image, true = picture(pose(BOARD, 30, 20, 40, 5), motion_px=15.0, motion_deg=motion_deg)
+    assert rms(detect(image, BOARD).image_points, true) < 0.3
+
+
+@pytest.mark.parametrize("row", [0, 5])
+def test_a_shadow_along_an_outer_row_hides_no_board(row: int) -> None:
+    image, true = picture(pose(BOARD, 30, 5, 40, 0))
+    y = np.arange(SIZE[1])[:, None]
+    edge = true[9 * row : 9 * row + 9, 1].mean() + (4 if row else -4)
+    shadow = np.where((y > edge) == bool(row), 0.2, 1.0)
+    found = detect((image * shadow).astype(np.uint8), BOARD).image_points
+    assert np.abs(found - true).max() < 1.5  # a sharp shadow draws the corners beside it towards itself
+
+
+def test_a_tiled_floor_behind_hides_no_board() -> None:
+    x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    tiles = 0.35 + 0.3 * ((x // 42 + y // 42) % 2)
+    for roll in (0, 10, 20, 30, 40):
+        T = pose(BOARD, 27, 20, 40, roll)
+        image = render(CAMERA, SIZE, BOARD, T, background=tiles)
+        assert rms(detect(image, BOARD).image_points, CAMERA.project(BOARD.points, T)) < 0.05
+
+
+def test_of_two_boards_the_one_of_the_size_is_found() -> None:
+    other = Chessboard(5, 4, 0.025)
+    left, right = (pose(BOARD, 22, 10, 40, 5, (-150, 60)), pose(other, 40, 10, 40, 5, (140, -60)))
+    image, true = picture(left)
+    with_both = render(CAMERA, SIZE, other, right, background=image / 255)
+    assert rms(detect(with_both, BOARD).image_points, true) < 0.1
+    assert rms(detect(with_both, other).image_points, CAMERA.project(other.points, right)) < 0.1
+
+
+def test_of_two_boards_of_one_size_one_is_found_whole() -> None:
+    poses = [pose(BOARD, 22, 10, 40, 5, (-160, 60)), pose(BOARD, 25, 10, 40, 25, (150, -60))]
+    image, _ = picture(poses[0])
+    image = render(CAMERA, SIZE, BOARD, poses[1], background=image / 255)
+    found = detect(image, BOARD).image_points
+    assert min(rms(found, CAMERA.project(BOARD.points, T)) for T in poses) < 0.1
+
+
+@pytest.mark.parametrize("strength", [100, 200, 400])
+def test_glare_gives_right_corners_or_none(strength: float) -> None:
+    image, true = picture(pose(BOARD, 36, 20, 40, 15))
+    x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    for u, v in true[[0, 12, 31, 53]]:
+        lamp = strength * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * 50**2))
+        glaring = np.clip(image + lamp, 0, 255).astype(np.uint8)
+        try:
+            found = detect(glaring, BOARD).image_points
+        except BoardNotFound as error:
+            assert error.reason in ("cut off", "not planar")  # noqa: PT017
+        else:
+            assert np.abs(found - true).max() < 1.0
+
+
+def test_motion_during_the_readout_shears_a_board_and_vibration_is_refused() -> None:
+    image, true = picture(pose(BOARD, 36, 20, 40, 15))
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in SIZE))
+
+    def shaken(offset: Any) -> Any:
+        return cv2.remap(image, (x - offset).astype(np.float32), y, cv2.INTER_CUBIC)
+
+    panned = detect(shaken(40 * y / SIZE[1]), BOARD).image_points
+    assert rms(panned, true + np.column_stack([40 * true[:, 1] / SIZE[1], np.zeros(len(true))])) < 0.1
+    vibrating = shaken(6 * np.sin(8 * np.pi * y / SIZE[1]))
+    assert refusal(vibrating).reason in ("not planar", "cut off")
 
 
 def test_corners_of_no_plane_are_refused() -> None:

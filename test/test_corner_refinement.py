@@ -7,7 +7,7 @@ import pytest
 from board_pictures import BOARD, CAMERA, SIZE, picture, pose
 from marker_pictures import CHARUCO, marker_picture, needs_markers
 
-from fewcal.corner_refinement import Squares, _model, refine_corners
+from fewcal.corner_refinement import Squares, _model, affine_frames, refine_corners
 from fewcal.rendering import Conditions, render
 
 
@@ -127,3 +127,18 @@ def test_a_marker_in_the_square_does_not_shift_the_corner() -> None:
     assert with_marker.good.all()
     assert np.abs(with_marker.points - grid).max() < 0.05
     assert np.abs(plain.points - grid).max() > 2 * np.abs(with_marker.points - grid).max()
+
+
+def test_some_corners_are_located_again_among_the_others() -> None:
+    image, true = picture(pose(BOARD, 30, 20, 40, 15))
+    grid = true.reshape(6, 9, 2)
+    corners = refine_corners(image, grid)
+    some = np.zeros((6, 9), dtype=bool)
+    some[2, 4] = True
+    wrong = corners.updated(refine_corners(image, grid + 9.0), some)
+    assert np.linalg.norm(wrong.points[2, 4] - grid[2, 4]) > 3
+    np.testing.assert_array_equal(wrong.points[~some], corners.points[~some])
+    again = refine_corners(image, np.where(some[..., None], grid, np.nan), affine_frames(grid))
+    mended = wrong.updated(again, some)
+    np.testing.assert_allclose(mended.points, corners.points, atol=1e-3)
+    np.testing.assert_allclose(mended.sigma, corners.sigma, rtol=0.05)

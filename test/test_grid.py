@@ -1,10 +1,11 @@
 from __future__ import annotations
 
 import numpy as np
-from board_pictures import BOARD, picture, pose
+from board_pictures import BOARD, CAMERA, SIZE, picture, pose
 
 from fewcal.boards import Chessboard
-from fewcal.grid import fill_gaps, find_grids, local_axes, predict
+from fewcal.grid import fill_gaps, find_grids, local_axes, predict, squares_meet_in_shadow
+from fewcal.rendering import render
 from fewcal.saddle_points import SaddlePoints, find_saddle_points
 
 LATTICE = np.stack(np.meshgrid(np.arange(5.0) * 20, np.arange(4.0) * 30), axis=-1)
@@ -59,3 +60,21 @@ def test_local_axes_are_the_steps_of_the_lattice() -> None:
     across, down = local_axes(LATTICE)
     np.testing.assert_allclose(across, np.broadcast_to([20.0, 0.0], across.shape))
     np.testing.assert_allclose(down, np.broadcast_to([0.0, 30.0], down.shape))
+
+
+def test_a_board_on_tiles_is_a_grid_of_its_own() -> None:
+    x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    tiles = 0.35 + 0.3 * ((x // 42 + y // 42) % 2)
+    image = render(CAMERA, SIZE, BOARD, pose(BOARD, 27, 20, 40, 20), background=tiles)
+    shapes = [sorted(grid.shape[:2]) for grid in find_grids(image, find_saddle_points(image))]
+    assert [6, 9] in shapes
+    assert any(shape > [9, 9] for shape in shapes)
+
+
+def test_squares_meet_in_half_a_shadow_and_not_at_the_rim() -> None:
+    image, true = picture(pose(BOARD, 30))
+    grid = true.reshape(6, 9, 2)
+    image[: round(grid[3, 0, 1])] //= 4
+    assert squares_meet_in_shadow(image, grid).all()
+    beyond = np.concatenate([grid, 2 * grid[-1:] - grid[-2:-1]])
+    assert not squares_meet_in_shadow(image, beyond)[-1].any()

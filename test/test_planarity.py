@@ -42,3 +42,15 @@ def test_a_wrong_corner_is_told_from_its_neighbours(wrong: int, k1: float) -> No
     bad = np.linalg.norm(residuals, axis=2).ravel() > allowed.ravel()
     assert np.flatnonzero(bad).tolist() == [wrong]
     np.testing.assert_allclose(residuals.reshape(-1, 2)[wrong], [12.0, -9.0], atol=4.0)
+
+
+def test_uncertainty_excuses_no_corner_that_left_its_square() -> None:
+    points = Camera(600.0, 600.0, 319.5, 239.5).project(BOARD.points, pose(BOARD, 36, 20, 40))
+    points[22] += [0.0, 40.0]
+    found = corners(points)
+    found.sigma[2, 4] = 18.0
+    residuals, allowed = planar_residuals(found, SIZE[::-1])
+    assert np.linalg.norm(residuals[2, 4]) > 2 * allowed[2, 4]
+    found.points[2, 4, 1] -= 30.0  # within its own square it may be as uncertain as it says
+    residuals, allowed = planar_residuals(found, SIZE[::-1])
+    assert (np.linalg.norm(residuals, axis=2) < allowed).all()

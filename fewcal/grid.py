@@ -9,27 +9,22 @@ for where their neighbours predict them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .saddle_points import Image, SaddlePoints, sample
 
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-NEAREST = 14
-"""Corners looked at around each one: its 8 on the board, and as many of clutter between them."""
 EDGE_TOLERANCE_RAD = 0.35
 """How far a neighbour may lie off the direction of an edge: 20 deg, for a short and distorted edge."""
 SECTOR_SHARE = 0.4
 """The same as a share of the narrower sector, so that one direction is never taken for the other."""
-EDGE_SIDE = 0.25
-"""How far to either side of an edge the step is measured, as a share of its length."""
 EDGE_CONTRAST = 0.3
 """Step across an edge between two corners, as a share of the stronger corner's contrast."""
 MIN_CORNERS = 8
@@ -46,6 +41,8 @@ MAX_GRIDS = 3
 """Chains of corners that are grown, largest first."""
 SNAP_SHARE = 0.3
 """A missing corner is sought this far from its prediction, as a share of the distance to its neighbours."""
+MAX_RINGS = 200
+"""Rounds of growing; each adds at least one corner, so this only bounds a board of unusual size."""
 _RIMS = ((0,), (-1,), (slice(None), 0), (slice(None), -1))
 _WITHOUT_RIM = (
     (slice(1, None),),
@@ -53,8 +50,22 @@ _WITHOUT_RIM = (
     (slice(None), slice(1, None)),
     (slice(None), slice(None, -1)),
 )
-MAX_RINGS = 200
-"""Rounds of growing; each adds at least one corner, so this only bounds a board of unusual size."""
+
+
+@dataclass(frozen=True)
+class Linking:
+    """What tells neighbours on a kind of board; the defaults are for chessboards.
+
+    Attributes
+    ----------
+    nearest : int
+        Corners looked at around each one: its 8 on the board, and as many of clutter between them.
+    side : float
+        How far to either side of an edge the step is measured, as a share of its length.
+    """
+
+    nearest: int = 14
+    side: float = 0.25
 
 
 def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
@@ -72,33 +83,57 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
     list of (R, C, 2) arrays, largest in the image first: pixels, NaN where a corner was not found,
     which :func:`fill_gaps` can complete.
     """
-    # Imported here, since it takes longer than all of fewcal, and who has points already needs none of it.
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    if len(saddles.points) < MIN_CORNERS:
-        return []
-    start, end, along_first = _links(image, saddles)
-    if len(start) == 0:
-        return []
-    count = len(saddles.points)
-    graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(count, count))
-    _, label = connected_components(graph, directed=False)
-    sizes = np.bincount(label)
-    chosen = np.argsort(-sizes, kind="stable")[:MAX_GRIDS]
     grids = []
-    tree = cKDTree(saddles.points)
-    for component in chosen[sizes[chosen] >= MIN_CORNERS]:
-        own = label[start] == component
-        grid, swapped = _coordinates(saddles, start[own], end[own], along_first[own])
+    for grid, swapped in islice(find_chains(image, saddles), MAX_GRIDS):
         if _closed_squares(grid) < MIN_SQUARES:
             continue
-        grid = _grow(grid, swapped, saddles, tree)
+        grid = _grow(grid, swapped, saddles)
         points = _trim(image, np.where((grid >= 0)[..., None], saddles.points[grid], np.nan))
         if min(points.shape[:2]) > 1 and np.isfinite(fill_gaps(points)).all():
             grids.append(points)
     return sorted(grids, key=_area, reverse=True)
+
+
+def find_chains(
+    image: Image, saddles: SaddlePoints, linking: Linking = Linking(), least: int = MIN_CORNERS
+) -> Iterator[tuple[Indices, bool]]:
+    """Arrange corners in grids as far as edges link them.
+
+    Parameters
+    ----------
+    image, saddles
+        See :func:`find_grids`.
+    linking : Linking
+    least : int
+        Fewest linked corners that are of interest.
+
+    Yields
+    ------
+    Those of most corners first:
+
+    grid : (R, C)
+        Index of the corner in each cell, -1 for none.
+    swapped : bool
+        Whether the corner of cell (0, 0) has its first edge along the column rather than the row.
+    """
+    # Imported here, since it takes longer than all of fewcal, and who has points already needs none of it.
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    if len(saddles.points) < least:
+        return
+    start, end, along_first = _links(image, saddles, linking)
+    if len(start) == 0:
+        return
+    count = len(saddles.points)
+    graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(count, count))
+    _, label = connected_components(graph, directed=False)
+    sizes = np.bincount(label)
+    for component in np.argsort(-sizes, kind="stable"):
+        if sizes[component] < least:
+            return
+        own = label[start] == component
+        yield _coordinates(saddles, start[own], end[own], along_first[own])
 
 
 def _closed_squares(grid: Indices) -> int:
@@ -119,12 +154,14 @@ def _turn(angle: Array) -> Array:
     return np.abs((angle + np.pi / 2) % np.pi - np.pi / 2)
 
 
-def _links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArray[np.bool_]]:
+def _links(
+    image: Image, saddles: SaddlePoints, linking: Linking
+) -> tuple[Indices, Indices, NDArray[np.bool_]]:
     """Pairs of neighbouring corners, each pair both ways, and whether it is on the start's first edge."""
     from scipy.spatial import cKDTree
 
     points, edges = saddles.points, saddles.edges
-    near = min(NEAREST + 1, len(points))
+    near = min(linking.nearest + 1, len(points))
     _, neighbours = cKDTree(points).query(points, k=near)
     start = np.repeat(np.arange(len(points)), near - 1)
     end = np.asarray(neighbours, dtype=np.intp)[:, 1:].ravel()
@@ -138,7 +175,7 @@ def _links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArr
     on_end = np.abs(np.einsum("pi,pei->pe", step, normals[end])) < (tolerance[end] * length)[:, None]
     first = on_start[:, 0] & on_end[:, 1]
     kept = np.flatnonzero(first | (on_start[:, 1] & on_end[:, 0]))
-    kept = kept[_is_edge(image, saddles, start[kept], end[kept], first[kept])]
+    kept = kept[_is_edge(image, saddles, start[kept], end[kept], first[kept], linking.side)]
     start, end, first, step, length = start[kept], end[kept], first[kept], step[kept], length[kept]
     angle = np.where(first, edges[start, 0], edges[start, 1])
     forward = step[:, 0] * np.cos(angle) + step[:, 1] * np.sin(angle) > 0
@@ -152,15 +189,20 @@ def _links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArr
 
 
 def _is_edge(
-    image: Image, saddles: SaddlePoints, start: Indices, end: Indices, first: NDArray[np.bool_]
+    image: Image,
+    saddles: SaddlePoints,
+    start: Indices,
+    end: Indices,
+    first: NDArray[np.bool_],
+    side: float,
 ) -> NDArray[np.bool_]:
     """Whether the brightness steps the right way across the line from start to end, all along it."""
     a, b = saddles.points[start], saddles.points[end]
     step = b - a
     # Seen along an edge that opens a dark sector, the side towards increasing angle is dark.
-    side = np.stack([-step[:, 1], step[:, 0]], axis=1) * np.where(first, EDGE_SIDE, -EDGE_SIDE)[:, None]
+    across = np.stack([-step[:, 1], step[:, 0]], axis=1) * np.where(first, side, -side)[:, None]
     along = a[:, None] + step[:, None] * np.array([0.3, 0.5, 0.7])[:, None]
-    drop = sample(image, along - side[:, None]) - sample(image, along + side[:, None])
+    drop = sample(image, along - across[:, None]) - sample(image, along + across[:, None])
     needed = EDGE_CONTRAST * np.maximum(saddles.contrast[start], saddles.contrast[end])
     return np.asarray((drop > needed[:, None]).all(axis=1))
 
@@ -272,8 +314,11 @@ def _mean(values: Array) -> Array:
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
-def _grow(grid: Indices, swapped: bool, saddles: SaddlePoints, tree: cKDTree) -> Indices:
+def _grow(grid: Indices, swapped: bool, saddles: SaddlePoints) -> Indices:
     """Fill gaps and add rings of corners where the grid predicts them and a candidate fits."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(saddles.points)
     for _ in range(MAX_RINGS):
         wide = np.pad(grid, 1, constant_values=-1)
         # The rim moves cell (0, 0) by a diagonal step, to a corner of the same kind.

@@ -6,7 +6,6 @@ markers -> those that lie as on the board -> where each corner must be -> corner
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,8 +23,8 @@ Array = NDArray[np.float64]
 
 MIN_CORNERS = 6
 """Corners of a useful view: four make a homography, and the other two show whether it is one."""
-MIN_MARKERS = 2
-"""Markers that agree on where the board is; a single one may be chance."""
+MIN_SQUARES = 2
+"""Squares that agree on where the board is."""
 MAX_MISPLACED = 0.25
 """Share of the corners that may be off the plane, by a reflection or by what covers them; they are left out.
 More are off when the board is bent."""
@@ -68,23 +67,17 @@ def locate_board(
     grid: CornerGrid,
     plane: Array,
     pixels: Array,
-    found: int,
-    explain: Callable[[int], BoardNotFound | None],
     source: str = "",
     stamp_ns: int | None = None,
 ) -> Detection:
-    """Locate the corners of a board, given some of its markers.
+    """Locate the corners of a board, given some of its squares.
 
     Parameters
     ----------
     grey : (H, W) array
     grid : CornerGrid
     plane, pixels : (M, 4, 2)
-        Corners of the markers on the board, metres, and in the image, to about a pixel.
-    found : int
-        Markers of the dictionary in the image, those that the board does not have among them.
-    explain : callable
-        Given how many markers lie as on the board, why it is no more of them; None when nothing is wrong.
+        Corners of squares on the board, metres, and in the image, to about a pixel.
     source, stamp_ns
         Kept in the view.
 
@@ -94,11 +87,10 @@ def locate_board(
         When there are too few corners, or the image is blurred, or they lie on no plane.
     """
     fitting = largest_board(plane, pixels, grid.reach)
-    if fitting.sum() < max(found, MIN_MARKERS) and (reason := explain(int(fitting.sum()))) is not None:
-        raise reason
-    if fitting.sum() < MIN_MARKERS:
+    if fitting.sum() < MIN_SQUARES:
         raise BoardNotFound("no board", "Markers are to be seen, but no two of them lie as on the board.")
-    corners, square_px = _refine(grey, grid, plane[fitting].reshape(-1, 2), pixels[fitting].reshape(-1, 2))
+    known, once = np.unique(plane[fitting].reshape(-1, 2), axis=0, return_index=True)
+    corners, square_px = _refine(grey, grid, known, pixels[fitting].reshape(-1, 2)[once])
     seen = corners.good
     if seen.any():
         width, square = edge_width(corners.blur[seen]), float(np.median(square_px[seen]))

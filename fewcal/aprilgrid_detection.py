@@ -12,7 +12,8 @@ from .detection import Detection
 from .errors import BoardNotFound
 from .grey import GreyImage
 from .marker_boards import CornerGrid, locate_board
-from .marker_lattice import Layout, Sighting, find_squares
+from .marker_lattice import Sighting, find_squares
+from .marker_placement import Layout
 from .markers import DICTIONARIES, recognise
 
 if TYPE_CHECKING:
@@ -46,7 +47,9 @@ def detect_aprilgrid(
         Squares(known=seen.border_bits / cells * board.tag_size / square),
         REACH * board.pitch,
     )
-    return locate_board(grey, grid, seen.plane(layout), seen.pixels, source, stamp_ns)
+    return locate_board(
+        grey, grid, layout.quads[seen.squares[:, 1], seen.squares[:, 0]], seen.pixels, source, stamp_ns
+    )
 
 
 def aprilgrid_layout(board: AprilGrid) -> Layout:
@@ -69,7 +72,8 @@ def _explain(grey: GreyImage, board: AprilGrid, seen: Sighting) -> BoardNotFound
                 "family that the board was printed with.",
             )
         return BoardNotFound(
-            "no board", f"No tags of {board.family} are to be seen; show the board sharp, well lit and close by."
+            "no board",
+            f"No tags of {board.family} are to be seen; show the board sharp, well lit and close by.",
         )
     columns = seen.markers_a_step(-2)
     if columns not in (None, board.columns):

@@ -13,7 +13,8 @@ from .detection import Detection
 from .errors import BoardNotFound
 from .grey import GreyImage
 from .marker_boards import CornerGrid, locate_board
-from .marker_lattice import Layout, Sighting, find_squares
+from .marker_lattice import Sighting, find_squares
+from .marker_placement import Layout
 from .markers import DICTIONARIES, recognise
 
 if TYPE_CHECKING:
@@ -44,7 +45,9 @@ def detect_charuco(
         Squares(gap, gap + border),
         REACH * board.square_size,
     )
-    return locate_board(grey, grid, seen.plane(layout), seen.pixels, source, stamp_ns)
+    return locate_board(
+        grey, grid, layout.quads[seen.squares[:, 1], seen.squares[:, 0]], seen.pixels, source, stamp_ns
+    )
 
 
 def charuco_layout(board: Charuco) -> Layout:
@@ -54,9 +57,7 @@ def charuco_layout(board: Charuco) -> Layout:
     numbers[row, column] = np.arange(board.marker_count)
     corners = np.full((board.rows + 1, board.columns + 1, 2), np.nan)
     corners[1:-1, 1:-1] = board.points[:, :2].reshape(board.rows - 1, board.columns - 1, 2)
-    return Layout(
-        numbers, corners, board.dictionary, inset=(1 - board.marker_size / board.square_size) / 2
-    )
+    return Layout(numbers, corners, board.dictionary, inset=(1 - board.marker_size / board.square_size) / 2)
 
 
 def _explain(grey: GreyImage, board: Charuco, seen: Sighting) -> BoardNotFound | None:
@@ -87,8 +88,13 @@ def _explain(grey: GreyImage, board: Charuco, seen: Sighting) -> BoardNotFound |
             "give the number of rows of the board that is shown, in squares.",
         )
     other_age = replace(board, legacy=not board.legacy)
-    if other_age.first_is_white != board.first_is_white and seen.fitting(charuco_layout(other_age)) > seen.votes:
-        age, hint = ("since", "leave :legacy away") if board.legacy else ("before", "add :legacy to the board")
+    if (
+        other_age.first_is_white != board.first_is_white
+        and seen.fitting(charuco_layout(other_age)) > seen.votes
+    ):
+        age, hint = (
+            ("since", "leave :legacy away") if board.legacy else ("before", "add :legacy to the board")
+        )
         return BoardNotFound(
             "wrong size", f"The markers lie as on boards with even rows printed {age} OpenCV 4.6; {hint}."
         )

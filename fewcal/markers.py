@@ -62,29 +62,42 @@ def marker_bits(name: str, ids: Indices) -> Bits:
     return np.array(bits, dtype=bool).reshape(-1, size, size)
 
 
-def read_markers(
-    grey: GreyImage, quads: Array, name: str, border_bits: int = 1, inset: float = 0.0
-) -> tuple[Indices, Indices]:
-    """Read the markers of a dictionary that squares show.
+def read_levels(grey: GreyImage, quads: Array, cells: int, inset: float = 0.0) -> Array:
+    """(K, cells, cells) mean brightness of the bits of markers, their border among them.
 
     Parameters
     ----------
     grey : (H, W) array
     quads : (K, 4, 2)
-        Corners of the squares, pixels, clockwise in the image.
-    name : str
-        One of `DICTIONARIES`.
-    border_bits : int
-        Width of the black border in bits.
+        Corners of the squares that the markers are in, pixels, clockwise in the image.
+    cells : int
+        Bits along the edge of a marker with its border.
     inset : float
         Distance of a marker from the edges of the square, as a share of these.
+    """
+    if len(quads) == 0:
+        return np.empty((0, cells, cells))
+    shares = inset + (1 - 2 * inset) * (np.arange(cells * SAMPLES) + 0.5) / (cells * SAMPLES)
+    levels = sample(grey, map_grid(quads, shares))
+    return np.asarray(levels.reshape(-1, cells, SAMPLES, cells, SAMPLES).mean(axis=(2, 4)))
+
+
+def read_markers(levels: Array, name: str) -> tuple[Indices, Indices]:
+    """Tell markers of a dictionary by the brightness of their bits.
+
+    Parameters
+    ----------
+    levels : (K, cells, cells)
+        See :func:`read_levels`.
+    name : str
+        One of `DICTIONARIES`.
 
     Returns
     -------
     ids : (K,)
-        Place of each in the dictionary, -1 where there is none.
+        Place of each in the dictionary, -1 where it is none.
     turns : (K,)
-        By how many right angles it is turned anticlockwise against one that begins at the first corner.
+        By how many right angles it is turned anticlockwise.
 
     Raises
     ------
@@ -92,12 +105,11 @@ def read_markers(
         When this OpenCV has no such dictionary.
     """
     codes = _codes(name)
-    bits, bordered = _bits(grey, quads, DICTIONARIES[name][0], border_bits, inset)
+    bits, bordered = _bits(levels, DICTIONARIES[name][0])
     signs = _signs(bits)
     agreement = signs @ codes.reshape(-1, signs.shape[1]).T
-    best = agreement.argmax(axis=1)
     wrong = (signs.shape[1] - agreement.max(axis=1)) / 2
-    turns, ids = np.divmod(best, codes.shape[1])
+    turns, ids = np.divmod(agreement.argmax(axis=1), codes.shape[1])
     return np.where(bordered & (wrong <= _correctable(name)), ids, -1), turns
 
 
@@ -106,12 +118,14 @@ def recognise(grey: GreyImage, quads: Array, border_bits: int = 1, inset: float 
 
     Parameters
     ----------
-    grey, quads, border_bits, inset
-        See :func:`read_markers`.
+    grey, quads, inset
+        See :func:`read_levels`.
+    border_bits : int
+        Width of the black border in bits.
     """
     hits = dict.fromkeys(DICTIONARIES, 0)
     for size in {size for size, _ in DICTIONARIES.values()}:
-        bits, bordered = _bits(grey, quads, size, border_bits, inset)
+        bits, bordered = _bits(read_levels(grey, quads, size + 2 * border_bits, inset), size)
         if not bordered.any():
             continue
         signs = _signs(bits[bordered])
@@ -123,19 +137,13 @@ def recognise(grey: GreyImage, quads: Array, border_bits: int = 1, inset: float 
     return best if hits[best] >= MIN_RECOGNISED else None
 
 
-def _bits(
-    grey: GreyImage, quads: Array, size: int, border_bits: int, inset: float
-) -> tuple[Bits, NDArray[np.bool_]]:
-    """Bits (K, size, size) of squares, and which of them have a black border about these."""
-    cells = size + 2 * border_bits
-    if len(quads) == 0:
-        return np.empty((0, size, size), bool), np.empty(0, bool)
-    shares = inset + (1 - 2 * inset) * (np.arange(cells * SAMPLES) + 0.5) / (cells * SAMPLES)
-    levels = sample(grey, map_grid(quads, shares))
-    levels = levels.reshape(-1, cells, SAMPLES, cells, SAMPLES).mean(axis=(2, 4))
+def _bits(levels: Array, size: int) -> tuple[Bits, NDArray[np.bool_]]:
+    """Bits (K, size, size) inside the border, and which of the markers (K,) have a black one."""
+    cells = levels.shape[1]
+    border = (cells - size) // 2
     middle = (levels.max(axis=(1, 2)) + levels.min(axis=(1, 2))) / 2
     white = levels > middle[:, None, None]
-    inner = white[:, border_bits:-border_bits, border_bits:-border_bits]
+    inner = white[:, border:-border, border:-border]
     bright = white.sum(axis=(1, 2)) - inner.sum(axis=(1, 2))
     return inner, bright <= MAX_BRIGHT_BORDER * (cells**2 - size**2)
 

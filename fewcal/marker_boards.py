@@ -35,6 +35,8 @@ MAX_DISTANCE = 0.75
 width of a marker that was not recognised, and some more."""
 _ROUNDS = 3
 """Rounds of looking for corners; each begins with those of the round before and reaches a marker farther."""
+BLUR_TOLERANCE = 1.2
+"""How much more blurred than supposed the squares may be before they are looked at again."""
 MAX_SHIFT = 0.25
 """How far a corner may be from where the markers expect it, squares: they are known to about a pixel."""
 
@@ -117,13 +119,17 @@ def locate_board(
 def _refine(grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array) -> tuple[RefinedCorners, Array]:
     """Corners near known points of the board, and the side of the square there (R, C), pixels."""
     weights = np.full(len(plane), MARKER_WEIGHT)
-    corners, square_px = _refine_once(grey, grid, plane, pixels, weights)
-    # Once more, from where the corners themselves say: it finds those that had no marker close by, and the
-    # perspective, which says where the markers in the squares are, is known better.
+    marked = math.isfinite(grid.squares.marker)
+    corners, square_px = _refine_once(grey, grid, plane, pixels, weights, coarse=marked)
+    # Once more, from where the corners themselves say: it finds those that had nothing known close by, and the
+    # perspective, which says where the markers in the squares are, and the blur are known better.
     for _ in range(1, _ROUNDS):
         before = corners.good
-        if before.all() and not math.isfinite(grid.squares.marker):
+        blur = float(np.median(corners.blur[before])) if before.any() else 0.0
+        blurred_more = blur > BLUR_TOLERANCE * grid.squares.blur
+        if before.all() and not (marked or blurred_more):
             break
+        grid = replace(grid, squares=replace(grid.squares, blur=max(blur, grid.squares.blur)))
         corners, square_px = _refine_once(
             grey,
             grid,
@@ -133,11 +139,12 @@ def _refine(grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array) -> t
         )
         if corners.good.sum() <= before.sum():
             break
+        marked = False
     return corners, square_px
 
 
 def _refine_once(
-    grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array, weights: Array
+    grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array, weights: Array, coarse: bool = False
 ) -> tuple[RefinedCorners, Array]:
     shape = grid.points.shape[:2]
     frames, distance = local_frames(plane, pixels, weights, grid.points.reshape(-1, 2))
@@ -149,7 +156,9 @@ def _refine_once(
     last = np.array(grey.shape[::-1]) - 1
     inside = np.all((expected >= 0) & (expected <= last), axis=-1)
     wanted = inside & (distance.reshape(shape) < MAX_DISTANCE * grid.reach)
-    corners = refine_corners(grey, np.where(wanted[..., None], expected, np.nan), frames, grid.squares)
+    corners = refine_corners(
+        grey, np.where(wanted[..., None], expected, np.nan), frames, grid.squares, coarse
+    )
     shift = np.linalg.norm(corners.points - expected, axis=-1)
     off = np.any((corners.points < MIN_BORDER_PX) | (corners.points > last - MIN_BORDER_PX), axis=-1)
     dropped = off | ~(shift <= MAX_SHIFT * square_px)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from .grid import local_axes
 from .saddle_points import Image
-from .window_fit import NEAR, Pixels, Windows, cut_windows, fit_windows, thinned
+from .window_fit import FAR, NEAR, Pixels, Windows, cut_windows, fit_windows, thinned
 
 Array = NDArray[np.float64]
 Edge = tuple[Pixels, Pixels]
@@ -180,7 +180,10 @@ def _fit(
         windows, coarse = windows._replace(constants=gaps), coarse._replace(constants=gaps)
     p, sigma, explained = fit_windows(_model, first, coarse, _LOWER, _UPPER)
     if every > 1 and not only_coarse:
-        p, sigma, explained = fit_windows(_model, p, windows, _LOWER, _UPPER, NEAR)
+        # Where the blur fills the window a few pixels do not tell it from a displacement.
+        near = FREE_MARGIN_BLURS * p[:, 4:6].max(axis=1) < windows.x.max()
+        start, damping = np.where(near[:, None], p, first), np.where(near, NEAR, FAR)
+        p, sigma, explained = fit_windows(_model, start, windows, _LOWER, _UPPER, damping)
     p[:, :2] += origin
     return p, sigma, explained
 

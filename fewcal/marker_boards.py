@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .corner_refinement import RefinedCorners, Squares, refine_corners
-from .detection import MIN_BORDER_PX, Detection, blurred, edge_width, is_blurred
+from .detection import MAX_EDGE_SHARE, MIN_BORDER_PX, Detection, blurred, edge_width
 from .errors import BoardNotFound
 from .grey import GreyImage
 from .marker_geometry import largest_board, local_frames
@@ -23,8 +23,6 @@ Array = NDArray[np.float64]
 
 MIN_CORNERS = 6
 """Corners of a useful view: four make a homography, and the other two show whether it is one."""
-MIN_SQUARES = 2
-"""Squares that agree on where the board is."""
 MAX_MISPLACED = 0.25
 """Share of the corners that may be off the plane, by a reflection or by what covers them; they are left out.
 More are off when the board is bent."""
@@ -88,17 +86,14 @@ def locate_board(
     BoardNotFound
         When there are too few corners, or the image is blurred, or they lie on no plane.
     """
-    fitting = largest_board(plane, pixels, grid.reach)
-    if fitting.sum() < MIN_SQUARES:
+    if len(plane) == 0:
         raise BoardNotFound("no board", "Markers are to be seen, but no two of them lie as on the board.")
+    fitting = largest_board(plane, pixels, grid.reach)
     known, once = np.unique(plane[fitting].reshape(-1, 2), axis=0, return_index=True)
     corners, square_px = _refine(grey, grid, known, pixels[fitting].reshape(-1, 2)[once])
     seen = corners.good
-    if seen.any():
-        width, square = edge_width(corners.blur[seen]), float(np.median(square_px[seen]))
-        if is_blurred(width, square):
-            raise blurred(width, square)
     _check_enough(seen)
+    width, square = edge_width(corners.blur[seen]), float(np.median(square_px[seen]))
     residuals, allowed = plane_residuals(
         grid.points[seen], corners.points[seen], square_px[seen], corners.sigma[seen], grey.shape
     )
@@ -125,6 +120,7 @@ def _refine(grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array) -> t
     # perspective, which says where the markers in the squares are, and the blur are known better.
     for _ in range(1, _ROUNDS):
         before = corners.good
+        _check_sharp(corners.blur[before], square_px[before], grid)
         blur = float(np.median(corners.blur[before])) if before.any() else 0.0
         blurred_more = blur > BLUR_TOLERANCE * grid.squares.blur
         if before.all() and not (marked or blurred_more):
@@ -140,6 +136,7 @@ def _refine(grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array) -> t
         if corners.good.sum() <= before.sum():
             break
         marked = False
+    _check_sharp(corners.blur[corners.good], square_px[corners.good], grid)
     return corners, square_px
 
 
@@ -163,6 +160,15 @@ def _refine_once(
     off = np.any((corners.points < MIN_BORDER_PX) | (corners.points > last - MIN_BORDER_PX), axis=-1)
     dropped = off | ~(shift <= MAX_SHIFT * square_px)
     return replace(corners, explained=np.where(dropped, np.nan, corners.explained)), square_px
+
+
+def _check_sharp(blur: Array, square_px: Array, grid: CornerGrid) -> None:
+    """Refuse an image whose edges, of blur (N, 2), run into those of the bits."""
+    if len(blur) == 0:
+        return
+    width, square = edge_width(blur), float(np.median(square_px))
+    if width > min(MAX_EDGE_SHARE, grid.squares.known) * square:
+        raise blurred(width, square)
 
 
 def _check_enough(seen: NDArray[np.bool_]) -> None:

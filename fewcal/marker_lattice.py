@@ -127,8 +127,7 @@ def find_squares(grey: GreyImage, layout: Layout) -> Sighting:
             break
         chains = list(_find_chains(reduce(grey, factor)))
         seen = _identify(grey, [(chain + 0.5) * factor - 0.5 for chain in chains], layout)
-        if (len(seen.squares), len(seen.ids)) > (len(best.squares), len(best.ids)):
-            best = seen
+        best = max(best, seen, key=lambda each: (len(each.squares), len(each.ids), len(each.unread)))
         if len(best.squares) == whole:
             break
     return best

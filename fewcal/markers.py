@@ -106,11 +106,14 @@ def read_markers(levels: Array, name: str) -> tuple[Indices, Indices]:
     """
     codes = _codes(name)
     bits, bordered = _bits(levels, DICTIONARIES[name][0])
-    signs = _signs(bits)
-    agreement = signs @ codes.reshape(-1, signs.shape[1]).T
-    wrong = (signs.shape[1] - agreement.max(axis=1)) / 2
-    turns, ids = np.divmod(agreement.argmax(axis=1), codes.shape[1])
-    return np.where(bordered & (wrong <= _correctable(name)), ids, -1), turns
+    ids, turns = np.full(len(levels), -1), np.zeros(len(levels), np.intp)
+    if bordered.any():
+        signs = _signs(bits[bordered])
+        agreement = signs @ codes.reshape(-1, signs.shape[1]).T
+        wrong = (signs.shape[1] - agreement.max(axis=1)) / 2
+        turns[bordered], best = np.divmod(agreement.argmax(axis=1), codes.shape[1])
+        ids[bordered] = np.where(wrong <= _correctable(name), best, -1)
+    return ids, turns
 
 
 def recognise(grey: GreyImage, quads: Array, border_bits: int = 1, inset: float = 0.0) -> str | None:
@@ -165,13 +168,14 @@ def _codes(name: str) -> NDArray[np.float32]:
 def _correctable(name: str) -> int:
     """How many wrong bits still leave no doubt which marker it is."""
     codes = _codes(name)
-    most = -codes.shape[2]
+    most = -int(codes.shape[2])
     for turn, turned in enumerate(codes):
         agreement = codes[0] @ turned.T
         if turn == 0:
             np.fill_diagonal(agreement, most)  # itself
         most = max(most, int(agreement.max()))
-    return ((codes.shape[2] - most) // 2 - 1) // 2
+    differing = (codes.shape[2] - most) // 2
+    return max(differing - 1, 0) // 2
 
 
 @lru_cache(maxsize=8)

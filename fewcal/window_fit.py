@@ -105,7 +105,7 @@ def _evenly_spread(dx: NDArray[np.generic], dy: NDArray[np.generic], every: int)
 
 
 def fit_windows(
-    model: Model, start: Array, windows: Windows, lower: Array, upper: Array, damping: float = FAR
+    model: Model, start: Array, windows: Windows, lower: Array, upper: Array, damping: float | Array = FAR
 ) -> WindowFit:
     """Fit a model to all windows.
 
@@ -118,13 +118,13 @@ def fit_windows(
     windows : Windows
     lower, upper : (K,)
         Bounds of the parameters.
-    damping : float
+    damping : float or (N,)
         Of the first step, as a share of the diagonal of the normal equations: `FAR` or `NEAR`.
     """
     values, weights = windows.values, windows.weights
     ceiling = float(values.max(initial=0))
     p = start.copy()
-    damped = np.full(len(p), damping)
+    damped = np.broadcast_to(damping, len(p)).copy()
     cost, normal, gradient, pixels = _linearise(model, p, windows, ceiling)
     moving = np.arange(len(p))
     for _ in range(_ITERATIONS):

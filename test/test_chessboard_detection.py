@@ -185,7 +185,7 @@ def test_covered_corners_are_not_invented() -> None:
         assert "1 of the 54 corners" in str(error)
 
 
-@pytest.mark.parametrize("conditions", [{"blur_px": 9.0}, {"motion_px": 22.0}], ids=str)
+@pytest.mark.parametrize("conditions", [{"blur_px": 9.0}, {"motion_px": 20.0}], ids=str)
 def test_a_blurred_board_is_said_to_be_blurred(conditions: dict[str, float]) -> None:
     image, _ = picture(pose(BOARD, 36, 20, 40, 15), **conditions)
     assert refusal(image).reason == "blurred"

@@ -55,7 +55,8 @@ def detect_aprilgrid(
 def aprilgrid_layout(board: AprilGrid) -> Layout:
     """Tags, small squares and gaps, row by row from the top."""
     numbers = np.full((2 * board.rows - 1, 2 * board.columns - 1), -1)
-    numbers[::-2, ::2] = np.arange(board.rows * board.columns).reshape(board.rows, board.columns)
+    rows = slice(None, None, 2 if board.from_top else -2)
+    numbers[rows, ::2] = np.arange(board.rows * board.columns).reshape(board.rows, board.columns)
     corners = board.points[:, :2].reshape(2 * board.rows, 2 * board.columns, 2)[::-1]
     # OpenCV's tags are upside down.
     return Layout(numbers, corners, board.dictionary, (BORDER_BITS, 1), turn=2)
@@ -75,17 +76,22 @@ def _explain(grey: GreyImage, board: AprilGrid, seen: Sighting) -> BoardNotFound
             "no board",
             f"No tags of {board.family} are to be seen; show the board sharp, well lit and close by.",
         )
-    columns = seen.markers_a_step(-2)
+    step = seen.markers_a_step(2)
+    if step is not None and (step > 0) != board.from_top:
+        row, hint = ("top", "add :top to the board") if step > 0 else ("bottom", "leave :top away")
+        return BoardNotFound("wrong size", f"The tags are counted from the {row} row; {hint}.")
+    columns = step and abs(step)
     if columns not in (None, board.columns):
         return BoardNotFound(
             "wrong size",
             f"The tags lie as on a board {columns} tags wide, not {board.columns}; give the size of the "
             "board that is shown.",
         )
-    if seen.ids.max() >= board.columns * board.rows:
+    count = board.columns * board.rows
+    if seen.ids.max() >= count:
         return BoardNotFound(
             "wrong size",
-            f"Tags up to number {seen.ids.max()} are seen, {board} ends with {board.columns * board.rows - 1}; "
+            f"Tags up to number {seen.ids.max()} are seen, {board} ends with {count - 1}; "
             "give the number of rows of the board that is shown.",
         )
     return None

@@ -116,8 +116,8 @@ def _refine(grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array) -> t
     weights = np.full(len(plane), MARKER_WEIGHT)
     marked = math.isfinite(grid.squares.marker)
     corners, square_px = _refine_once(grey, grid, plane, pixels, weights, coarse=marked)
-    # Once more, from where the corners themselves say: it finds those that had nothing known close by, and the
-    # perspective, which says where the markers in the squares are, and the blur are known better.
+    # Once more, from where the corners themselves say: it finds those that had nothing known close by; and
+    # the perspective, which says where the markers in the squares are, and the blur are known better.
     for _ in range(1, _ROUNDS):
         before = corners.good
         _check_sharp(corners.blur[before], square_px[before], grid)

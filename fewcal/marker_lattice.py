@@ -55,8 +55,8 @@ class Sighting:
     squares : (S, 2)
         Column and row of the squares of the board that were identified and have four corners.
     pixels : (S, 4, 2)
-        Their corners in the image, to about a pixel, in the order of the board: upper left, upper right, lower
-        right, lower left.
+        Their corners in the image, to about a pixel, in the order of the board: upper left, upper right, and
+        on around.
     border_bits : int
         Width of the markers' border.
     ids : (K,)
@@ -64,8 +64,8 @@ class Sighting:
     cells : (K, 2)
         Their columns and rows, upright, counted from anywhere.
     votes : int
-        How many markers of this chain lie as on the board; more than were read when they were placed by how they
-        look.
+        How many markers of this chain lie as on the board; more than were read when they were placed by how
+        they look.
     unread : (U, 4, 2)
         Squares without a marker of the dictionary, pixels.
     """
@@ -83,8 +83,10 @@ class Sighting:
         down = self.cells - self.cells[:, None]
         first, second = np.nonzero((down[..., 0] == 0) & (down[..., 1] == squares))
         steps = self.ids[second] - self.ids[first]
-        steps = steps[steps > 0]
-        return int(np.bincount(steps).argmax()) if len(steps) >= MIN_VOTES else None
+        if len(steps) < MIN_VOTES:
+            return None
+        different, votes = np.unique(steps, return_counts=True)
+        return int(different[votes.argmax()])
 
     def fitting(self, layout: Layout) -> int:
         """How many of the markers lie as on another board."""
@@ -93,7 +95,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class _Chain:
-    """Squares between corners that edges link: corners (R, C, 2), NaN where unknown, and what they enclose."""
+    """Corners (R, C, 2) that edges link, NaN where unknown, and the squares between them."""
 
     corners: Array
     cells: Indices
@@ -138,7 +140,7 @@ def _shows_small_squares(chains: list[Array]) -> bool:
 
 
 def _find_chains(image: GreyImage) -> Iterator[Array]:
-    """Corners (R, C, 2) that are linked and enclose squares, NaN for others; x cross y away from the camera."""
+    """Linked corners (R, C, 2) that enclose squares, NaN for others; x cross y away from the camera."""
     saddles = find_saddle_points(image)
     for grid, _ in islice(find_chains(image, saddles, LINKING, MIN_CORNERS), MAX_CHAINS):
         corners = np.where((grid >= 0)[..., None], saddles.points[grid], np.nan)
@@ -201,7 +203,7 @@ def _levels(grey: GreyImage, quads: Array, border: int, layout: Layout) -> Array
 
 
 def _part(layout: Layout, border: int, chain: _Chain, ids: Indices, turns: Indices, levels: Array) -> _Part:
-    """Place one chain, given the markers that its squares show, -1 for none, and how bright their bits are."""
+    """Place one chain, given the markers in its squares, -1 for none, and how bright their bits are."""
     read = ids >= 0
     placement = place_by_numbers(chain.cells[read], ids[read], turns[read], layout)
     upright = turned(chain.cells[read], placement.turn)

@@ -1,8 +1,8 @@
 """Where on a board some of its squares are, told by the markers in them.
 
-Squares are counted by column and row, those of the board from its upper left and those of an image from anywhere.
-Legible markers vote for how the ones lie on the others. Where blur leaves none legible, all of them together
-still look like one part of the board and like no other.
+Squares are counted by column and row, those of the board from its upper left and those of an image from
+anywhere. Legible markers vote for how the ones lie on the others. Where blur leaves none legible, all of them
+together still look like one part of the board and like no other.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ MIN_VOTES = 2
 MIN_COMPARED = 6
 """Markers that are compared with the board when none is legible."""
 MIN_LIKENESS = 0.6
-"""Correlation of what they show with the board. It is 0.8 and more even where a bit is as wide as the blur; chance
-gives 0.15 (sd) for six markers of 4x4 bits, of which blur leaves half independent, and a board of another width,
-on which some rows agree, 0.5 at most."""
+"""Correlation of what they show with the board. Chance gives 0.15 (sd) for six markers of 4x4 bits, of which
+blur leaves half independent, and a board of another width, on which two rows of five agree, 0.4."""
 BLUR = np.array([0.25, 0.5, 0.25], np.float32)
 """Blur along a row of bits at which they are just not legible any more: 0.7 of a bit, sd."""
 
@@ -47,8 +46,8 @@ class Layout:
     border_bits : tuple of int
         How wide their black border may be.
     inset : float
-        Distance of the markers from the edges of the squares, as a share of these. If there is one, all squares
-        are of one size.
+        Distance of the markers from the edges of the squares, as a share of these. If there is one, all
+        squares are of one size.
     turn : int
         Right angles by which the markers are printed turned anticlockwise.
     """
@@ -82,7 +81,7 @@ class Placement(NamedTuple):
 
 
 def corners_of_squares(corners: Array) -> Array:
-    """(R, C, 4, 2) corners of the squares between (R + 1, C + 1, 2) corners, clockwise from the upper left."""
+    """(R, C, 4, 2) corners of the squares between (R + 1, C + 1, 2), clockwise from the upper left."""
     return np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]], axis=2)
 
 

@@ -174,7 +174,7 @@ def _correctable(name: str) -> int:
         if turn == 0:
             np.fill_diagonal(agreement, most)  # itself
         most = max(most, int(agreement.max()))
-    differing = (codes.shape[2] - most) // 2
+    differing = (int(codes.shape[2]) - most) // 2
     return max(differing - 1, 0) // 2
 
 

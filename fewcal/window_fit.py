@@ -9,7 +9,7 @@ saturated: it says that the model is to be as bright or brighter, and nothing mo
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,13 +93,13 @@ def cut_windows(image: NDArray[np.generic], middles: Array, radius: int, every: 
 
 def thinned(windows: Windows, every: int) -> Windows:
     """Keep one in `every` of the pixels of windows that share their offsets, evenly spread."""
-    taken = _evenly_spread(*windows.x, every)
+    taken = _evenly_spread(windows.x[0], windows.x[1], every)
     return windows._replace(
         x=windows.x[:, taken], values=windows.values[:, taken], weights=windows.weights[:, taken]
     )
 
 
-def _evenly_spread(dx: NDArray[np.generic], dy: NDArray[np.generic], every: int) -> NDArray[np.bool_]:
+def _evenly_spread(dx: NDArray[Any], dy: NDArray[Any], every: int) -> NDArray[np.bool_]:
     """Which of the pixels at whole offsets make one in `every` of them."""
     return np.asarray((dx + max(1, round(GOLDEN * every)) * dy) % every == 0)
 

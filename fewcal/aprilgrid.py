@@ -59,6 +59,7 @@ class AprilGrid:
         "(tags, metres, gap as a share of the tag; :top at the end when tag 0 is at the upper left)"
     )
     turns: ClassVar[int] = 1
+    drawn_border_bits: ClassVar[int] = BORDER_BITS
 
     columns: int
     rows: int
@@ -149,7 +150,8 @@ class AprilGrid:
         polygons = rectangles(corner, corner + space)
         # Of OpenCV's tags the first bit is the lower right one of the tag as it is printed.
         bits = np.rot90(marker_bits(self.dictionary, np.arange(self.columns * self.rows)), 2, axes=(1, 2))
-        tags = np.pad(bits, ((0, 0), (BORDER_BITS, BORDER_BITS), (BORDER_BITS, BORDER_BITS)))
+        border = (self.drawn_border_bits, self.drawn_border_bits)
+        tags = np.pad(bits, ((0, 0), border, border))
         for tag, (left, top) in zip(tags, self.tag_corners[:, 0], strict=True):
             polygons += cells(~tag, left, top, float(self.tag_size) / len(tag))
         right, top = self.columns * self.pitch, -self.rows * self.pitch

@@ -201,8 +201,9 @@ def _windows(image: Image, origin: Array, axes: Array, squares: Squares) -> Wind
     inside *= (along <= reach[..., None]).all(axis=1)
     if squares.known < WINDOW_SHARE:
         margin = FREE_MARGIN_BLURS * squares.blur
-        clear, known = (share * length - margin for share in (squares.marker, squares.known))
-        free = np.maximum(clear, np.clip(known, MIN_FREE_PX, BAND_PX))
+        free = np.maximum(squares.known * length - margin, MIN_FREE_PX)
+        if math.isfinite(squares.marker):
+            free = np.maximum(squares.marker * length - margin, np.minimum(free, BAND_PX))
         inside *= (along <= free[..., None]).any(axis=1)
     return Windows(x, values, inside)
 

@@ -11,8 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .corner_refinement import RefinedCorners, Squares, refine_corners
-from .detection import MAX_EDGE_SHARE, MIN_BORDER_PX, Detection, blurred, edge_width
+from .corner_refinement import FREE_MARGIN_BLURS, RefinedCorners, Squares, refine_corners
+from .detection import (
+    EDGE_WIDTH_PER_BLUR,
+    MAX_EDGE_SHARE,
+    MIN_BORDER_PX,
+    Detection,
+    blurred,
+    edge_width,
+)
 from .errors import BoardNotFound
 from .grey import GreyImage
 from .marker_geometry import largest_board, local_frames
@@ -163,11 +170,12 @@ def _refine_once(
 
 
 def _check_sharp(blur: Array, square_px: Array, grid: CornerGrid) -> None:
-    """Refuse an image whose edges, of blur (N, 2), run into those of the bits."""
+    """Refuse an image whose edges, of blur (N, 2), run into each other, or into those of the bits."""
     if len(blur) == 0:
         return
     width, square = edge_width(blur), float(np.median(square_px))
-    if width > min(MAX_EDGE_SHARE, grid.squares.known) * square:
+    clear = grid.squares.known * EDGE_WIDTH_PER_BLUR / FREE_MARGIN_BLURS
+    if width > min(MAX_EDGE_SHARE, clear) * square:
         raise blurred(width, square)
 
 

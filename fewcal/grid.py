@@ -62,10 +62,13 @@ class Linking:
         Corners looked at around each one: its 8 on the board, and as many of clutter between them.
     side : float
         How far to either side of an edge the step is measured, as a share of its length.
+    least_side_px : float
+        The least distance, pixels.
     """
 
     nearest: int = 14
     side: float = 0.25
+    least_side_px: float = 0.0
 
 
 def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
@@ -175,7 +178,7 @@ def _links(
     on_end = np.abs(np.einsum("pi,pei->pe", step, normals[end])) < (tolerance[end] * length)[:, None]
     first = on_start[:, 0] & on_end[:, 1]
     kept = np.flatnonzero(first | (on_start[:, 1] & on_end[:, 0]))
-    kept = kept[_is_edge(image, saddles, start[kept], end[kept], first[kept], linking.side)]
+    kept = kept[_is_edge(image, saddles, start[kept], end[kept], first[kept], linking)]
     start, end, first, step, length = start[kept], end[kept], first[kept], step[kept], length[kept]
     angle = np.where(first, edges[start, 0], edges[start, 1])
     forward = step[:, 0] * np.cos(angle) + step[:, 1] * np.sin(angle) > 0
@@ -194,12 +197,13 @@ def _is_edge(
     start: Indices,
     end: Indices,
     first: NDArray[np.bool_],
-    side: float,
+    linking: Linking,
 ) -> NDArray[np.bool_]:
     """Whether the brightness steps the right way across the line from start to end, all along it."""
     a, b = saddles.points[start], saddles.points[end]
     step = b - a
     # Seen along an edge that opens a dark sector, the side towards increasing angle is dark.
+    side = np.maximum(linking.side, linking.least_side_px / np.linalg.norm(step, axis=1))
     across = np.stack([-step[:, 1], step[:, 0]], axis=1) * np.where(first, side, -side)[:, None]
     along = a[:, None] + step[:, None] * np.array([0.3, 0.5, 0.7])[:, None]
     drop = sample(image, along - across[:, None]) - sample(image, along + across[:, None])

@@ -35,13 +35,16 @@ from .saddle_points import find_saddle_points
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-LINKING = Linking(nearest=32, side=0.08)
+LINKING = Linking(nearest=32, side=0.04, least_side_px=0.8)
 """A corner of an AprilGrid has neighbours beyond the corners of the tags around it and those of the bits
-inside them; and the step across an edge is seen between the marker and the edge, or inside its border."""
+inside them; and the step across an edge is seen between the marker and the edge, or inside its border: both
+are an eighth of the square wide, and a third of that where the square is seen steeply from the side."""
 MIN_CORNERS = 4
 """Fewest linked corners that are of interest: one square."""
 MAX_CHAINS = 8
 """Chains of corners that are looked at, those of most corners first; what covers a board parts it in some."""
+MIN_LINKED = 6
+"""Linked corners of squares that are worth a look at a finer copy: those of two squares side by side."""
 SMALL_SQUARE_PX = 8.0
 """Squares smaller than this in one copy are shown better by the next."""
 
@@ -136,7 +139,11 @@ def find_squares(grey: GreyImage, layout: Layout) -> Sighting:
 
 
 def _shows_small_squares(chains: list[Array]) -> bool:
-    return any(square_size(chain) < SMALL_SQUARE_PX for chain in chains)
+    """Whether there are some so small that a finer copy may show more; a single one is chance."""
+    return any(
+        np.isfinite(chain[..., 0]).sum() >= MIN_LINKED and square_size(chain) < SMALL_SQUARE_PX
+        for chain in chains
+    )
 
 
 def _find_chains(image: GreyImage) -> Iterator[Array]:

@@ -205,8 +205,8 @@ def row(case: Case, board: Board, unit_m: float, peers: dict[str, Detector], tri
             others[name].errors.append(detector(shot.image, shot.truth))
             others[name].seconds.append(time.perf_counter() - start)
     corners = trials * len(board.points)
-    cells = [case.name, *mine.cells(corners), f"{rms(np.concatenate(z)):.2f}"]
-    cells[1] = f"**{cells[1]}**"
+    scaled = np.concatenate(z)
+    cells = [case.name, *mine.cells(corners), f"{rms(scaled):.2f}" if len(scaled) else ""]
     for tally in others.values():
         cells += tally.cells(corners)
         cells.append(f"{np.median(np.divide(tally.seconds, mine.seconds)):.1f}")

@@ -24,13 +24,16 @@ FAMILIES = {"tag" + name.removeprefix("DICT_APRILTAG_"): name for name in DICTIO
 
 @dataclass(frozen=True)
 class AprilGrid:
-    """An AprilGrid, counted in tags; the numbers of the tags begin with 0 at the lower left, as Kalibr's do.
+    """An AprilGrid, counted in tags, whose numbers begin with 0 at the lower left, as Kalibr's do.
 
     Its points are the corners of the tags in Kalibr's order: row by row from the bottom, each from left to
     right, two rows of corners for each row of tags. The board frame has Kalibr's origin, the lower left
-    corner of tag 0, and its x, to the right along a row; but y points down and z = x cross y away from a
-    camera that looks at the printed side, as for all boards here. Kalibr has y up and z out of the board:
-    its coordinates are (x, -y, -z) of these.
+    corner of the lower left tag, and its x, to the right along a row; but y points down and z = x cross y
+    away from a camera that looks at the printed side, as for all boards here. Kalibr has y up and z out of
+    the board: its coordinates are (x, -y, -z) of these.
+
+    The border of the tags may be two bits wide, as Kalibr's is and as they are drawn, or one bit, as in the
+    AprilTag library; an image shows which.
 
     Parameters
     ----------
@@ -42,6 +45,8 @@ class AprilGrid:
         Space between tags as a share of the tag, below 1: Kalibr's tagSpacing.
     family : str
         ``tag36h11``, ``tag36h10``, ``tag25h9`` or ``tag16h5``.
+    from_top : bool
+        Whether the numbers of the tags begin with 0 at the upper left and go row by row downwards.
 
     Raises
     ------
@@ -51,15 +56,17 @@ class AprilGrid:
 
     form: ClassVar[str] = (
         "aprilgrid:COLUMNSxROWS:TAG:GAP:FAMILY, for example aprilgrid:6x6:0.088:0.3:tag36h11 "
-        "(tags, metres, gap as a share of the tag)"
+        "(tags, metres, gap as a share of the tag; :top at the end when tag 0 is at the upper left)"
     )
     turns: ClassVar[int] = 1
+    drawn_border_bits: ClassVar[int] = BORDER_BITS
 
     columns: int
     rows: int
     tag_size: float
     gap: float
     family: str
+    from_top: bool = False
 
     def __post_init__(self) -> None:
         if not (is_count(self.columns, 1) and is_count(self.rows, 1) and self.columns * self.rows > 1):
@@ -77,7 +84,9 @@ class AprilGrid:
     def parse(cls, text: str) -> AprilGrid:
         """Read the text form, see :func:`fewcal.parse_board`."""
         match = match_form(
-            f"aprilgrid:{COUNTS}:(?P<tag>[^:]+):(?P<gap>[^:]+):(?P<family>[^:]+)", text, cls.form
+            f"aprilgrid:{COUNTS}:(?P<tag>[^:]+):(?P<gap>[^:]+):(?P<family>[^:]+)(?P<top>:top)?",
+            text,
+            cls.form,
         )
         family = match["family"].lower()
         return cls(
@@ -86,11 +95,13 @@ class AprilGrid:
             read_number(match, "tag", cls.form),
             read_number(match, "gap", cls.form, "a share of the tag"),
             family if family in FAMILIES else match["family"],
+            match["top"] is not None,
         )
 
     def __str__(self) -> str:
         return (
             f"aprilgrid:{self.columns}x{self.rows}:{float(self.tag_size)!r}:{float(self.gap)!r}:{self.family}"
+            f"{':top' * self.from_top}"
         )
 
     @property
@@ -117,6 +128,8 @@ class AprilGrid:
     def tag_corners(self) -> Array:
         """(M, 4, 2) corners of the tags by number, metres: upper left, upper right, and on around."""
         row, column = np.divmod(np.arange(self.columns * self.rows), self.columns)
+        if self.from_top:
+            row = self.rows - 1 - row
         lower_left = np.stack([column, -row], axis=1) * self.pitch
         return lower_left[:, None] + np.array([[0, -1], [1, -1], [1, 0], [0, 0]]) * float(self.tag_size)
 
@@ -137,7 +150,8 @@ class AprilGrid:
         polygons = rectangles(corner, corner + space)
         # Of OpenCV's tags the first bit is the lower right one of the tag as it is printed.
         bits = np.rot90(marker_bits(self.dictionary, np.arange(self.columns * self.rows)), 2, axes=(1, 2))
-        tags = np.pad(bits, ((0, 0), (BORDER_BITS, BORDER_BITS), (BORDER_BITS, BORDER_BITS)))
+        border = (self.drawn_border_bits, self.drawn_border_bits)
+        tags = np.pad(bits, ((0, 0), border, border))
         for tag, (left, top) in zip(tags, self.tag_corners[:, 0], strict=True):
             polygons += cells(~tag, left, top, float(self.tag_size) / len(tag))
         right, top = self.columns * self.pitch, -self.rows * self.pitch

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +12,9 @@ from .detection import Detection
 from .errors import BoardNotFound
 from .grey import GreyImage
 from .marker_boards import CornerGrid, locate_board
-from .marker_geometry import largest_board
-from .markers import DICTIONARIES, Markers, find_board_markers, recognise
+from .marker_lattice import Sighting, find_squares
+from .marker_placement import Layout
+from .markers import DICTIONARIES, recognise
 
 if TYPE_CHECKING:
     from .aprilgrid import AprilGrid
@@ -27,66 +27,71 @@ REACH = 1.5
 """Tags are held against their neighbours, across the diagonal too: 1.41 times their pitch."""
 SQUARE = 1.5
 """Edge of the squares that meet at a corner, in gaps: the small one is one gap wide, the tag several."""
-USUAL_GAP = 0.3
-"""Gap of Kalibr's own boards, good enough to tell how many columns there are."""
-MOST_COLUMNS = 40
-"""Widest board that is tried to explain tags that lie otherwise."""
 
 
 def detect_aprilgrid(
     grey: GreyImage, board: AprilGrid, source: str = "", stamp_ns: int | None = None
 ) -> Detection:
     """Find an AprilGrid or a part of it, see :meth:`fewcal.boards.Board.detect`."""
-    count, extent = board.columns * board.rows, max(board.columns, board.rows) * (1 + board.gap)
-    found = find_board_markers(grey, board.dictionary, BORDER_BITS, count, extent)
-    own = found.take(found.ids < count)
-    plane = np.roll(board.tag_corners, 2, axis=1)[own.ids]  # OpenCV's tags are upside down
+    layout = aprilgrid_layout(board)
+    seen = find_squares(grey, layout)
+    if seen.votes < len(seen.ids) or len(seen.squares) == 0:
+        reason = _explain(grey, board, seen)
+        if reason is not None:
+            raise reason
     square = SQUARE * board.gap * board.tag_size
-    border = BORDER_BITS / (DICTIONARIES[board.dictionary][0] + 2 * BORDER_BITS) * board.tag_size
+    cells = DICTIONARIES[board.dictionary][0] + 2 * seen.border_bits
     grid = CornerGrid(
         board.points[:, :2].reshape(2 * board.rows, 2 * board.columns, 2),
         square,
-        Squares(known=border / square),
+        Squares(known=seen.border_bits / cells * board.tag_size / square),
         REACH * board.pitch,
     )
-    explain = partial(_explain, grey, board, found)
-    return locate_board(grey, grid, plane, own.corners, len(found), explain, source, stamp_ns)
+    return locate_board(
+        grey, grid, layout.quads[seen.squares[:, 1], seen.squares[:, 0]], seen.pixels, source, stamp_ns
+    )
 
 
-def _explain(grey: GreyImage, board: AprilGrid, found: Markers, fitting: int) -> BoardNotFound | None:
+def aprilgrid_layout(board: AprilGrid) -> Layout:
+    """Tags, small squares and gaps, row by row from the top."""
+    numbers = np.full((2 * board.rows - 1, 2 * board.columns - 1), -1)
+    rows = slice(None, None, 2 if board.from_top else -2)
+    numbers[rows, ::2] = np.arange(board.rows * board.columns).reshape(board.rows, board.columns)
+    corners = board.points[:, :2].reshape(2 * board.rows, 2 * board.columns, 2)[::-1]
+    # OpenCV's tags are upside down.
+    return Layout(numbers, corners, board.dictionary, (BORDER_BITS, 1), turn=2)
+
+
+def _explain(grey: GreyImage, board: AprilGrid, seen: Sighting) -> BoardNotFound | None:
     """Say why few tags or none fit the board; None when nothing fits better."""
-    if len(found) < 2:
-        other = recognise(grey, found.candidates, BORDER_BITS)
-        if other is not None and other != board.dictionary:
+    if len(seen.ids) < 2:
+        others = {recognise(grey, seen.unread, border) for border in (BORDER_BITS, 1)}
+        for other in others - {None, board.dictionary}:
             return BoardNotFound(
                 "wrong size",
-                f"The tags are those of {other.removeprefix('DICT_')}, not of {board.family}; name the "
+                f"The tags are those of {str(other).removeprefix('DICT_')}, not of {board.family}; name the "
                 "family that the board was printed with.",
             )
         return BoardNotFound(
             "no board",
-            f"No tags of {board.family} with a border of two bits are to be seen; show the board sharp, well "
-            "lit and close by.",
+            f"No tags of {board.family} are to be seen; show the board sharp, well lit and close by.",
         )
-    most, columns = max((_fitting(found, columns), columns) for columns in range(1, MOST_COLUMNS))
-    if most <= max(fitting, 2):
-        return None
-    if columns != board.columns:
+    step = seen.markers_a_step(2)
+    if step is not None and (step > 0) != board.from_top:
+        row, hint = ("top", "add :top to the board") if step > 0 else ("bottom", "leave :top away")
+        return BoardNotFound("wrong size", f"The tags are counted from the {row} row; {hint}.")
+    columns = step and abs(step)
+    if columns not in (None, board.columns):
         return BoardNotFound(
             "wrong size",
             f"The tags lie as on a board {columns} tags wide, not {board.columns}; give the size of the "
             "board that is shown.",
         )
-    return BoardNotFound(
-        "wrong size",
-        f"Tags up to number {found.ids.max()} are seen, {board} ends with {board.columns * board.rows - 1}; "
-        "give the number of rows of the board that is shown.",
-    )
-
-
-def _fitting(found: Markers, columns: int) -> int:
-    """How many of the tags lie as on a board so many tags wide, whatever the gap."""
-    row, column = np.divmod(found.ids, columns)
-    unit = np.array([[1, 0], [0, 0], [0, -1], [1, -1]], dtype=np.float64)
-    plane = np.stack([column, -row], axis=1)[:, None] * (1 + USUAL_GAP) + unit
-    return int(largest_board(plane, found.corners, REACH * (1 + USUAL_GAP)).sum())
+    count = board.columns * board.rows
+    if seen.ids.max() >= count:
+        return BoardNotFound(
+            "wrong size",
+            f"Tags up to number {seen.ids.max()} are seen, {board} ends with {count - 1}; "
+            "give the number of rows of the board that is shown.",
+        )
+    return None

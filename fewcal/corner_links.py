@@ -9,6 +9,8 @@ by the squares that it does not close.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,22 +19,43 @@ from .saddle_points import Image, SaddlePoints, sample
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-NEAREST = 14
-"""Corners looked at around each one: its 8 on the board, and as many of clutter between them."""
 EDGE_TOLERANCE_RAD = 0.35
 """How far a neighbour may lie off the direction of an edge: 20 deg, for a short and distorted edge."""
 SECTOR_SHARE = 0.4
 """The same as a share of the narrower sector, so that one direction is never taken for the other."""
-EDGE_SIDE = 0.25
-"""How far to either side of an edge the step is measured, as a share of its length."""
 EDGE_CONTRAST = 0.3
 """Step across an edge between two corners, as a share of the stronger corner's contrast."""
-MAX_STEP_RATIO = 2.0
-"""Step to a neighbour over the step back along the same edge: perspective and lens change it by a third from
-one square to the next; a longer one leads off the board."""
 
 
-def find_links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArray[np.bool_]]:
+@dataclass(frozen=True)
+class Linking:
+    """What tells neighbours on a kind of board.
+
+    Attributes
+    ----------
+    nearest : int
+        Corners looked at around each one: its 8 on the board, and as many of clutter between them.
+    side : float
+        How far to either side of an edge the step is measured, as a share of its length.
+    least_side_px : float
+        The least distance, pixels.
+    max_step_ratio : float
+        Step to a neighbour over the step back along the same edge. On a chessboard perspective and lens
+        change it by a third from one square to the next; a longer one leads off the board.
+    """
+
+    nearest: int = 14
+    side: float = 0.25
+    least_side_px: float = 0.0
+    max_step_ratio: float = 2.0
+
+
+CHESSBOARD = Linking()
+
+
+def find_links(
+    image: Image, saddles: SaddlePoints, linking: Linking = CHESSBOARD
+) -> tuple[Indices, Indices, NDArray[np.bool_]]:
     """Pairs of neighbouring corners that are a side of a square.
 
     Parameters
@@ -41,6 +64,7 @@ def find_links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, N
         The image that the corners were found in.
     saddles : SaddlePoints
         At least two corner candidates.
+    linking : Linking
 
     Returns
     -------
@@ -49,7 +73,7 @@ def find_links(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, N
     along_first : (L,)
         Whether the pair is on the start's first edge.
     """
-    start, end, along_first = _neighbours(image, saddles)
+    start, end, along_first = _neighbours(image, saddles, linking)
     if len(start) == 0:
         return start, end, along_first
     sides = _sides_of_squares(start, end, len(saddles.points))
@@ -61,12 +85,14 @@ def turn(angle: Array) -> Array:
     return np.abs((angle + np.pi / 2) % np.pi - np.pi / 2)
 
 
-def _neighbours(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, NDArray[np.bool_]]:
+def _neighbours(
+    image: Image, saddles: SaddlePoints, linking: Linking
+) -> tuple[Indices, Indices, NDArray[np.bool_]]:
     """Pairs of neighbouring corners, each pair both ways, and whether it is on the start's first edge."""
     from scipy.spatial import cKDTree
 
     points, edges = saddles.points, saddles.edges
-    near = min(NEAREST + 1, len(points))
+    near = min(linking.nearest + 1, len(points))
     _, neighbours = cKDTree(points).query(points, k=near)
     start = np.repeat(np.arange(len(points)), near - 1)
     end = np.asarray(neighbours, dtype=np.intp)[:, 1:].ravel()
@@ -80,17 +106,17 @@ def _neighbours(image: Image, saddles: SaddlePoints) -> tuple[Indices, Indices, 
     on_end = np.abs(np.einsum("pi,pei->pe", step, normals[end])) < (tolerance[end] * length)[:, None]
     first = on_start[:, 0] & on_end[:, 1]
     kept = np.flatnonzero(first | (on_start[:, 1] & on_end[:, 0]))
-    kept = kept[_is_edge(image, saddles, start[kept], end[kept], first[kept])]
+    kept = kept[_is_edge(image, saddles, start[kept], end[kept], first[kept], linking)]
     start, end, first, step, length = start[kept], end[kept], first[kept], step[kept], length[kept]
     angle = np.where(first, edges[start, 0], edges[start, 1])
     forward = step[:, 0] * np.cos(angle) + step[:, 1] * np.sin(angle) > 0
-    kept = _nearest_each_way(4 * start + 2 * first + forward, length)
+    kept = _nearest_each_way(4 * start + 2 * first + forward, length, linking.max_step_ratio)
     start, end, first = start[kept], end[kept], first[kept]
     mutual = np.isin(start * len(points) + end, end * len(points) + start)
     return start[mutual], end[mutual], first[mutual]
 
 
-def _nearest_each_way(way: Indices, length: Array) -> Indices:
+def _nearest_each_way(way: Indices, length: Array, max_ratio: float) -> Indices:
     """Choose the shortest of the steps that go the same way from the same corner.
 
     Ways 2 k and 2 k + 1 are the two ways along one edge of one corner; a step much longer than the one back
@@ -101,19 +127,25 @@ def _nearest_each_way(way: Indices, length: Array) -> Indices:
     nearest = order[first]
     shortest = np.full(way.max(initial=0) + 2, np.inf)
     shortest[taken] = length[nearest]
-    return np.asarray(nearest[length[nearest] < MAX_STEP_RATIO * shortest[taken ^ 1]])
+    return np.asarray(nearest[length[nearest] < max_ratio * shortest[taken ^ 1]])
 
 
 def _is_edge(
-    image: Image, saddles: SaddlePoints, start: Indices, end: Indices, first: NDArray[np.bool_]
+    image: Image,
+    saddles: SaddlePoints,
+    start: Indices,
+    end: Indices,
+    first: NDArray[np.bool_],
+    linking: Linking,
 ) -> NDArray[np.bool_]:
     """Whether the brightness steps the right way across the line from start to end, all along it."""
     a, b = saddles.points[start], saddles.points[end]
     step = b - a
     # Seen along an edge that opens a dark sector, the side towards increasing angle is dark.
-    side = np.stack([-step[:, 1], step[:, 0]], axis=1) * np.where(first, EDGE_SIDE, -EDGE_SIDE)[:, None]
+    side = np.maximum(linking.side, linking.least_side_px / np.linalg.norm(step, axis=1))
+    across = np.stack([-step[:, 1], step[:, 0]], axis=1) * np.where(first, side, -side)[:, None]
     along = a[:, None] + step[:, None] * np.array([0.3, 0.5, 0.7])[:, None]
-    drop = sample(image, along - side[:, None]) - sample(image, along + side[:, None])
+    drop = sample(image, along - across[:, None]) - sample(image, along + across[:, None])
     needed = EDGE_CONTRAST * np.maximum(saddles.contrast[start], saddles.contrast[end])
     return np.asarray((drop > needed[:, None]).all(axis=1))
 

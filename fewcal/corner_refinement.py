@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from .grid import local_axes
 from .saddle_points import Image
-from .window_fit import Pixels, Windows, cut_windows, fit_windows
+from .window_fit import FAR, NEAR, Pixels, Windows, cut_windows, fit_windows, thinned
 
 Array = NDArray[np.float64]
 Edge = tuple[Pixels, Pixels]
@@ -50,8 +50,10 @@ MIN_CONTRAST_SHARE = 0.2
 fills dark squares."""
 MIN_BLUR_PX, MAX_BLUR_PX = 0.3, 30.0
 """A pixel is itself a blur of 0.29 px; beyond 30 px no window resolves the edge."""
-FREE_MARGIN_PX = 1.5
-"""What is left out of the window is blurred into it: two sd of a sharp image."""
+FREE_MARGIN_BLURS = 2.0
+"""What is left out of the window is blurred into it: so many sd."""
+SHARP_PX = 0.75
+"""Blur of a sharp image, sd."""
 BAND_PX = 4.0
 """Half width that the bands along the edges need to show the blur; up to it they are let into the marker,
 whose edges run a little apart from those of the square by perspective."""
@@ -59,6 +61,8 @@ MIN_FREE_PX = 1.0
 """Least half width of these bands: they show both sides of the edge."""
 STRONG_PERCENT = 90
 """Percentile of the contrasts that is that of a corner, whatever covers the others."""
+COARSE_PIXELS = 100
+"""Pixels of a window that suffice to come close: ten for each parameter."""
 _PARAMETERS = 10
 _LOWER, _UPPER = np.full((2, _PARAMETERS), [[-np.inf], [np.inf]])
 _LOWER[4:6], _UPPER[4:6] = MIN_BLUR_PX, MAX_BLUR_PX
@@ -76,10 +80,13 @@ class Squares:
     known : float
         How far from the edges that holds, as a share of the square: what lies farther from both edges is not
         looked at.
+    blur : float
+        By how much it is blurred, sd, pixels.
     """
 
     marker: float = math.inf
     known: float = math.inf
+    blur: float = SHARP_PX
 
 
 PLAIN = Squares()
@@ -132,7 +139,11 @@ class RefinedCorners:
 
 
 def refine_corners(
-    image: Image, grid: Array, frames: Array | None = None, squares: Squares = PLAIN
+    image: Image,
+    grid: Array,
+    frames: Array | None = None,
+    squares: Squares = PLAIN,
+    coarse: bool = False,
 ) -> RefinedCorners:
     """Locate the corners of a grid to sub-pixel accuracy.
 
@@ -147,13 +158,15 @@ def refine_corners(
         from it. Taken from the neighbours, all of which must be known, when left out.
     squares : Squares
         What is in them.
+    coarse : bool
+        Whether a part of the pixels is enough.
     """
     if frames is None:
         frames = affine_frames(grid)
     known = np.isfinite(grid).all(axis=-1)
     p, (sigma, explained) = np.full((*known.shape, _PARAMETERS), np.nan), np.full((2, *known.shape), np.nan)
     if known.any():
-        p[known], sigma[known], explained[known] = _fit(image, grid[known], frames[known], squares)
+        p[known], sigma[known], explained[known] = _fit(image, grid[known], frames[known], squares, coarse)
     return RefinedCorners(p[..., :2], sigma, p[..., 4:6], p[..., 7], explained)
 
 
@@ -165,15 +178,25 @@ def affine_frames(grid: Array) -> Array:
     return frames
 
 
-def _fit(image: Image, start: Array, frames: Array, squares: Squares) -> tuple[Array, Array, Array]:
+def _fit(
+    image: Image, start: Array, frames: Array, squares: Squares, only_coarse: bool
+) -> tuple[Array, Array, Array]:
     """Fit the model at every start; parameters (N, 10), sigma (N,) and share explained (N,)."""
     origin = np.rint(start)
     axes = np.swapaxes(frames[:, :2, :2], 1, 2)
     windows = _windows(image, origin, axes, squares)
-    first = _initial(start - origin, axes, windows)
+    every = max(windows.values.shape[1] // COARSE_PIXELS, 1)
+    coarse = thinned(windows, every)
+    first = _initial(start - origin, axes, coarse)
     if math.isfinite(squares.marker):
-        windows = windows._replace(constants=(_gaps(first, frames, squares.marker),))
-    p, sigma, explained = fit_windows(_model, first, windows, _LOWER, _UPPER)
+        gaps = (_gaps(first, frames, squares.marker),)
+        windows, coarse = windows._replace(constants=gaps), coarse._replace(constants=gaps)
+    p, sigma, explained = fit_windows(_model, first, coarse, _LOWER, _UPPER)
+    if every > 1 and not only_coarse:
+        # Where the blur fills the window a few pixels do not tell it from a displacement.
+        near = FREE_MARGIN_BLURS * p[:, 4:6].max(axis=1) < windows.x.max()
+        start, damping = np.where(near[:, None], p, first), np.where(near, NEAR, FAR)
+        p, sigma, explained = fit_windows(_model, start, windows, _LOWER, _UPPER, damping)
     p[:, :2] += origin
     return p, sigma, explained
 
@@ -190,8 +213,10 @@ def _windows(image: Image, origin: Array, axes: Array, squares: Squares) -> Wind
     along = np.abs(np.swapaxes(np.linalg.pinv(unit), 1, 2) @ x)
     inside *= (along <= reach[..., None]).all(axis=1)
     if squares.known < WINDOW_SHARE:
-        clear, known = (share * length - FREE_MARGIN_PX for share in (squares.marker, squares.known))
-        free = np.maximum(clear, np.clip(known, MIN_FREE_PX, BAND_PX))
+        margin = FREE_MARGIN_BLURS * squares.blur
+        free = np.maximum(squares.known * length - margin, MIN_FREE_PX)
+        if math.isfinite(squares.marker):
+            free = np.maximum(squares.marker * length - margin, np.minimum(free, BAND_PX))
         inside *= (along <= free[..., None]).any(axis=1)
     return Windows(x, values, inside)
 

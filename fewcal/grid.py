@@ -6,16 +6,14 @@ predict them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .corner_links import EDGE_CONTRAST, Indices, find_links, turn
+from .corner_links import CHESSBOARD, EDGE_CONTRAST, Indices, Linking, find_links, turn
 from .saddle_points import Image, SaddlePoints, sample
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 
@@ -33,6 +31,8 @@ MAX_GRIDS = 3
 """Chains of corners that are grown, largest first."""
 SNAP_SHARE = 0.3
 """A missing corner is sought this far from its prediction, as a share of the distance to its neighbours."""
+MAX_RINGS = 200
+"""Rounds of growing; each adds at least one corner, so this only bounds a board of unusual size."""
 _RIMS = ((0,), (-1,), (slice(None), 0), (slice(None), -1))
 _WITHOUT_RIM = (
     (slice(1, None),),
@@ -40,8 +40,6 @@ _WITHOUT_RIM = (
     (slice(None), slice(1, None)),
     (slice(None), slice(None, -1)),
 )
-MAX_RINGS = 200
-"""Rounds of growing; each adds at least one corner, so this only bounds a board of unusual size."""
 
 
 def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
@@ -59,33 +57,57 @@ def find_grids(image: Image, saddles: SaddlePoints) -> list[Array]:
     list of (R, C, 2) arrays, largest in the image first: pixels, NaN where a corner was not found,
     which :func:`fill_gaps` can complete.
     """
-    # Imported here, since it takes longer than all of fewcal, and who has points already needs none of it.
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    if len(saddles.points) < MIN_CORNERS:
-        return []
-    start, end, along_first = find_links(image, saddles)
-    if len(start) == 0:
-        return []
-    count = len(saddles.points)
-    graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(count, count))
-    _, label = connected_components(graph, directed=False)
-    sizes = np.bincount(label)
-    chosen = np.argsort(-sizes, kind="stable")[:MAX_GRIDS]
     grids = []
-    tree = cKDTree(saddles.points)
-    for component in chosen[sizes[chosen] >= MIN_CORNERS]:
-        own = label[start] == component
-        grid, swapped = _coordinates(saddles, start[own], end[own], along_first[own])
+    for grid, swapped in islice(find_chains(image, saddles), MAX_GRIDS):
         if _closed_squares(grid) < MIN_SQUARES:
             continue
-        grid = _grow(grid, swapped, saddles, tree)
+        grid = _grow(grid, swapped, saddles)
         points = _trim(image, np.where((grid >= 0)[..., None], saddles.points[grid], np.nan))
         if min(points.shape[:2]) > 1 and np.isfinite(fill_gaps(points)).all():
             grids.append(points)
     return sorted(grids, key=_area, reverse=True)
+
+
+def find_chains(
+    image: Image, saddles: SaddlePoints, linking: Linking = CHESSBOARD, least: int = MIN_CORNERS
+) -> Iterator[tuple[Indices, bool]]:
+    """Arrange corners in grids as far as edges link them.
+
+    Parameters
+    ----------
+    image, saddles
+        See :func:`find_grids`.
+    linking : Linking
+    least : int
+        Fewest linked corners that are of interest.
+
+    Yields
+    ------
+    Those of most corners first:
+
+    grid : (R, C)
+        Index of the corner in each cell, -1 for none.
+    swapped : bool
+        Whether the corner of cell (0, 0) has its first edge along the column rather than the row.
+    """
+    # Imported here, since it takes longer than all of fewcal, and who has points already needs none of it.
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    if len(saddles.points) < least:
+        return
+    start, end, along_first = find_links(image, saddles, linking)
+    if len(start) == 0:
+        return
+    count = len(saddles.points)
+    graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(count, count))
+    _, label = connected_components(graph, directed=False)
+    sizes = np.bincount(label)
+    for component in np.argsort(-sizes, kind="stable"):
+        if sizes[component] < least:
+            return
+        own = label[start] == component
+        yield _coordinates(saddles, start[own], end[own], along_first[own])
 
 
 def _closed_squares(grid: Indices) -> int:
@@ -208,8 +230,11 @@ def _mean(values: Array) -> Array:
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
-def _grow(grid: Indices, swapped: bool, saddles: SaddlePoints, tree: cKDTree) -> Indices:
+def _grow(grid: Indices, swapped: bool, saddles: SaddlePoints) -> Indices:
     """Fill gaps and add rings of corners where the grid predicts them and a candidate fits."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(saddles.points)
     for _ in range(MAX_RINGS):
         wide = np.pad(grid, 1, constant_values=-1)
         # The rim moves cell (0, 0) by a diagonal step, to a corner of the same kind.

@@ -6,14 +6,20 @@ markers -> those that lie as on the board -> where each corner must be -> corner
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .corner_refinement import RefinedCorners, Squares, refine_corners
-from .detection import MIN_BORDER_PX, Detection, blurred, edge_width, is_blurred
+from .corner_refinement import FREE_MARGIN_BLURS, RefinedCorners, Squares, refine_corners
+from .detection import (
+    EDGE_WIDTH_PER_BLUR,
+    MAX_EDGE_SHARE,
+    MIN_BORDER_PX,
+    Detection,
+    blurred,
+    edge_width,
+)
 from .errors import BoardNotFound
 from .grey import GreyImage
 from .marker_geometry import largest_board, local_frames
@@ -24,8 +30,6 @@ Array = NDArray[np.float64]
 
 MIN_CORNERS = 6
 """Corners of a useful view: four make a homography, and the other two show whether it is one."""
-MIN_MARKERS = 2
-"""Markers that agree on where the board is; a single one may be chance."""
 MAX_MISPLACED = 0.25
 """Share of the corners that may be off the plane, by a reflection or by what covers them; they are left out.
 More are off when the board is bent."""
@@ -36,6 +40,8 @@ MAX_DISTANCE = 0.75
 width of a marker that was not recognised, and some more."""
 _ROUNDS = 3
 """Rounds of looking for corners; each begins with those of the round before and reaches a marker farther."""
+BLUR_TOLERANCE = 1.2
+"""How much more blurred than supposed the squares may be before they are looked at again."""
 MAX_SHIFT = 0.25
 """How far a corner may be from where the markers expect it, squares: they are known to about a pixel."""
 
@@ -68,23 +74,17 @@ def locate_board(
     grid: CornerGrid,
     plane: Array,
     pixels: Array,
-    found: int,
-    explain: Callable[[int], BoardNotFound | None],
     source: str = "",
     stamp_ns: int | None = None,
 ) -> Detection:
-    """Locate the corners of a board, given some of its markers.
+    """Locate the corners of a board, given some of its squares.
 
     Parameters
     ----------
     grey : (H, W) array
     grid : CornerGrid
     plane, pixels : (M, 4, 2)
-        Corners of the markers on the board, metres, and in the image, to about a pixel.
-    found : int
-        Markers of the dictionary in the image, those that the board does not have among them.
-    explain : callable
-        Given how many markers lie as on the board, why it is no more of them; None when nothing is wrong.
+        Corners of squares on the board, metres, and in the image, to about a pixel.
     source, stamp_ns
         Kept in the view.
 
@@ -93,18 +93,14 @@ def locate_board(
     BoardNotFound
         When there are too few corners, or the image is blurred, or they lie on no plane.
     """
-    fitting = largest_board(plane, pixels, grid.reach)
-    if fitting.sum() < max(found, MIN_MARKERS) and (reason := explain(int(fitting.sum()))) is not None:
-        raise reason
-    if fitting.sum() < MIN_MARKERS:
+    if len(plane) == 0:
         raise BoardNotFound("no board", "Markers are to be seen, but no two of them lie as on the board.")
-    corners, square_px = _refine(grey, grid, plane[fitting].reshape(-1, 2), pixels[fitting].reshape(-1, 2))
+    fitting = largest_board(plane, pixels, grid.reach)
+    known, once = np.unique(plane[fitting].reshape(-1, 2), axis=0, return_index=True)
+    corners, square_px = _refine(grey, grid, known, pixels[fitting].reshape(-1, 2)[once])
     seen = corners.good
-    if seen.any():
-        width, square = edge_width(corners.blur[seen]), float(np.median(square_px[seen]))
-        if is_blurred(width, square):
-            raise blurred(width, square)
     _check_enough(seen)
+    width, square = edge_width(corners.blur[seen]), float(np.median(square_px[seen]))
     residuals, allowed = plane_residuals(
         grid.points[seen], corners.points[seen], square_px[seen], corners.sigma[seen], grey.shape
     )
@@ -125,13 +121,18 @@ def locate_board(
 def _refine(grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array) -> tuple[RefinedCorners, Array]:
     """Corners near known points of the board, and the side of the square there (R, C), pixels."""
     weights = np.full(len(plane), MARKER_WEIGHT)
-    corners, square_px = _refine_once(grey, grid, plane, pixels, weights)
-    # Once more, from where the corners themselves say: it finds those that had no marker close by, and the
-    # perspective, which says where the markers in the squares are, is known better.
+    marked = math.isfinite(grid.squares.marker)
+    corners, square_px = _refine_once(grey, grid, plane, pixels, weights, coarse=marked)
+    # Once more, from where the corners themselves say: it finds those that had nothing known close by; and
+    # the perspective, which says where the markers in the squares are, and the blur are known better.
     for _ in range(1, _ROUNDS):
         before = corners.good
-        if before.all() and not math.isfinite(grid.squares.marker):
+        _check_sharp(corners.blur[before], square_px[before], grid)
+        blur = float(np.median(corners.blur[before])) if before.any() else 0.0
+        blurred_more = blur > BLUR_TOLERANCE * grid.squares.blur
+        if before.all() and not (marked or blurred_more):
             break
+        grid = replace(grid, squares=replace(grid.squares, blur=max(blur, grid.squares.blur)))
         corners, square_px = _refine_once(
             grey,
             grid,
@@ -141,11 +142,13 @@ def _refine(grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array) -> t
         )
         if corners.good.sum() <= before.sum():
             break
+        marked = False
+    _check_sharp(corners.blur[corners.good], square_px[corners.good], grid)
     return corners, square_px
 
 
 def _refine_once(
-    grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array, weights: Array
+    grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array, weights: Array, coarse: bool = False
 ) -> tuple[RefinedCorners, Array]:
     shape = grid.points.shape[:2]
     frames, distance = local_frames(plane, pixels, weights, grid.points.reshape(-1, 2))
@@ -157,11 +160,23 @@ def _refine_once(
     last = np.array(grey.shape[::-1]) - 1
     inside = np.all((expected >= 0) & (expected <= last), axis=-1)
     wanted = inside & (distance.reshape(shape) < MAX_DISTANCE * grid.reach)
-    corners = refine_corners(grey, np.where(wanted[..., None], expected, np.nan), frames, grid.squares)
+    corners = refine_corners(
+        grey, np.where(wanted[..., None], expected, np.nan), frames, grid.squares, coarse
+    )
     shift = np.linalg.norm(corners.points - expected, axis=-1)
     off = np.any((corners.points < MIN_BORDER_PX) | (corners.points > last - MIN_BORDER_PX), axis=-1)
     dropped = off | ~(shift <= MAX_SHIFT * square_px)
     return replace(corners, explained=np.where(dropped, np.nan, corners.explained)), square_px
+
+
+def _check_sharp(blur: Array, square_px: Array, grid: CornerGrid) -> None:
+    """Refuse an image whose edges, of blur (N, 2), run into each other, or into those of the bits."""
+    if len(blur) == 0:
+        return
+    width, square = edge_width(blur), float(np.median(square_px))
+    clear = grid.squares.known * EDGE_WIDTH_PER_BLUR / FREE_MARGIN_BLURS
+    if width > min(MAX_EDGE_SHARE, clear) * square:
+        raise blurred(width, square)
 
 
 def _check_enough(seen: NDArray[np.bool_]) -> None:

@@ -98,9 +98,9 @@ def map_grid(quads: Array, shares: Array) -> Array:
     unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     H = _homographies(np.broadcast_to(unit, quads.shape), quads)
     y, x = np.meshgrid(shares, shares, indexing="ij")
-    points = np.broadcast_to(np.stack([x, y], axis=-1).reshape(-1, 2), (len(quads), x.size, 2))
-    mapped = _map(np.repeat(H, x.size, axis=0), points.reshape(-1, 2))
-    return mapped.reshape(len(quads), *x.shape, 2)
+    mapped = H @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    points = np.swapaxes(mapped[:, :2] / mapped[:, 2:], 1, 2)
+    return np.asarray(points.reshape(len(quads), *x.shape, 2))
 
 
 def _homographies(plane: Array, pixels: Array, weights: Array | None = None) -> Array:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ QUANTISATION = 1 / 12
 GOLDEN = 0.382
 """Shift of a row against the one before that spreads pixels evenly, whatever share of them is taken."""
 _TAIL = (0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429)
+FAR, NEAR = 1e-3, 1e-6
+"""Damping where the start is rough, and where it is about as good as the fit."""
 _ITERATIONS = 14
 """Levenberg-Marquardt steps; 5 to 8 suffice from a good start."""
 _CONVERGED = 0.01
@@ -96,8 +98,8 @@ def cut_windows(image: NDArray[np.generic], middles: Array, radius: int, every: 
 
     Of the pixels only one in `every` is taken, evenly spread.
     """
-    dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1].reshape(2, -1)
-    taken = (dx + max(1, round(GOLDEN * every)) * dy) % every == 0
+    dx, dy = np.mgrid[-radius : radius + 1, -radius : radius + 1].reshape(2, -1)[::-1]
+    taken = _evenly_spread(dx, dy, every)
     dx, dy = dx[taken], dy[taken]
     column = middles[:, :1].astype(np.intp) + dx
     row = middles[:, 1:].astype(np.intp) + dy
@@ -107,7 +109,22 @@ def cut_windows(image: NDArray[np.generic], middles: Array, radius: int, every: 
     return Windows(np.stack([dx, dy]).astype(np.float32), values, inside.astype(np.float32))
 
 
-def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, upper: Array) -> WindowFit:
+def thinned(windows: Windows, every: int) -> Windows:
+    """Keep one in `every` of the pixels of windows that share their offsets, evenly spread."""
+    taken = _evenly_spread(windows.x[0], windows.x[1], every)
+    return windows._replace(
+        x=windows.x[:, taken], values=windows.values[:, taken], weights=windows.weights[:, taken]
+    )
+
+
+def _evenly_spread(dx: NDArray[Any], dy: NDArray[Any], every: int) -> NDArray[np.bool_]:
+    """Which of the pixels at whole offsets make one in `every` of them."""
+    return np.asarray((dx + max(1, round(GOLDEN * every)) * dy) % every == 0)
+
+
+def fit_windows(
+    model: Model, start: Array, windows: Windows, lower: Array, upper: Array, damping: float | Array = FAR
+) -> WindowFit:
     """Fit a model to all windows.
 
     Parameters
@@ -119,15 +136,17 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
     windows : Windows
     lower, upper : (K,)
         Bounds of the parameters.
+    damping : float or (N,)
+        Of the first step, as a share of the diagonal of the normal equations: `FAR` or `NEAR`.
     """
     values, weights = windows.values, windows.weights
     ceiling = float(values.max(initial=0))
     p = start.copy()
-    damping = np.full(len(p), 1e-3)
+    damped = np.broadcast_to(damping, len(p)).copy()
     cost, normal, gradient, pixels = _linearise(model, p, windows, ceiling)
     moving = np.arange(len(p))
     for _ in range(_ITERATIONS):
-        step = _solve(normal[moving], gradient[moving, :, None], damping[moving])[..., 0]
+        step = _solve(normal[moving], gradient[moving, :, None], damped[moving])[..., 0]
         noise = np.maximum(cost[moving] / np.maximum(pixels[moving], 1), QUANTISATION)
         trial = np.clip(p[moving] + step, lower, upper)
         # A step that changes nothing that matters is taken, and what it led to not looked at.
@@ -141,7 +160,7 @@ def fit_windows(model: Model, start: Array, windows: Windows, lower: Array, uppe
         taken = Windows(x, values[moving], weights[moving], constants)
         trial_cost, trial_normal, trial_gradient, trial_pixels = _linearise(model, trial, taken, ceiling)
         better = trial_cost < cost[moving]
-        damping[moving] *= np.where(better, 0.1, 10.0)
+        damped[moving] *= np.where(better, 0.1, 10.0)
         done = moving[better]
         p[done], cost[done] = trial[better], trial_cost[better]
         normal[done], gradient[done] = trial_normal[better], trial_gradient[better]

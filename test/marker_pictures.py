@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+from collections.abc import Iterator
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -15,8 +19,12 @@ from fewcal.boards import Board, Charuco
 from fewcal.camera import Camera
 from fewcal.detection import Detection
 from fewcal.rendering import Conditions, render
+from fewcal.views import View
 
 Array = NDArray[np.float64]
+
+REAL = os.environ.get("FEWCAL_REAL_DATA")
+"""Where the real data sets are; none when not set."""
 
 needs_markers = pytest.mark.skipif(
     not hasattr(cv2, "aruco"), reason="this OpenCV has no markers; those from 4.7, and those with contrib, do"
@@ -46,6 +54,17 @@ def two_parts() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         marker_picture(CHARUCO, 70, 40, 10, shift_px=(210, 130))[0],
         marker_picture(CHARUCO, 70, 40, 100, shift_px=(-200, -130))[0],
     )
+
+
+def real_views(name: str, board: Board) -> Iterator[tuple[View, Array, Array]]:
+    """Give for each image of a real data set what is found, and the points and pixels that others found."""
+    folder = Path(str(REAL)) / "sets" / name
+    reference = np.load(folder / "corners.npz")
+    parts = [slice(*ends) for ends in itertools.pairwise(reference["view_ptr"])]
+    for part, image_name in zip(parts, reference["names"].astype(str), strict=True):
+        if (folder / "images" / image_name).exists():
+            image: Any = cv2.imread(str(folder / "images" / image_name))
+            yield board.detect(image).view, reference["obj"][part], reference["img"][part]
 
 
 def indices(board: Board, found: Detection) -> NDArray[np.intp]:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,9 +22,12 @@ KALIBR_TAG_0 = 0xD5D628584
     st.floats(1e-3, 1.0),
     st.floats(0.05, 0.95),
     st.sampled_from(sorted(FAMILIES)),
+    st.booleans(),
 )
-def test_the_text_form_is_read_back(columns: int, rows: int, tag: float, gap: float, family: str) -> None:
-    board = AprilGrid(columns, rows, tag, gap, family)
+def test_the_text_form_is_read_back(
+    columns: int, rows: int, tag: float, gap: float, family: str, from_top: bool
+) -> None:
+    board = AprilGrid(columns, rows, tag, gap, family, from_top)
     assert parse_board(str(board)) == board
 
 
@@ -32,6 +37,14 @@ def test_the_text_form_of_the_design() -> None:
     assert str(board) == "aprilgrid:6x6:0.088:0.3:tag36h11"
     assert isinstance(board, Board)
     assert parse_board("aprilgrid:6X6:0.088:0.3:TAG36H11") == board
+    assert parse_board("aprilgrid:6x6:0.088:0.3:tag36h11:top") == replace(board, from_top=True)
+
+
+def test_tags_may_be_counted_from_the_top() -> None:
+    upwards = AprilGrid(2, 3, 0.1, 0.3, "tag36h11")
+    downwards = replace(upwards, from_top=True)
+    np.testing.assert_array_equal(downwards.points, upwards.points)
+    np.testing.assert_array_equal(downwards.tag_corners, upwards.tag_corners[[4, 5, 2, 3, 0, 1]])
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,15 @@ import cv2
 import numpy as np
 import pytest
 from board_pictures import CAMERA, SIZE
-from marker_pictures import CHARUCO, errors, indices, marker_picture, needs_markers
+from marker_pictures import (
+    CHARUCO,
+    REAL,
+    errors,
+    indices,
+    marker_picture,
+    needs_markers,
+    real_views,
+)
 
 from fewcal.aprilgrid import AprilGrid
 from fewcal.boards import parse_board
@@ -111,6 +119,28 @@ def test_sigma_is_the_size_of_the_error(noise: float, blur: float, tag_px: float
     assert 0.7 < np.sqrt(np.mean(np.concatenate(z) ** 2)) < 1.4
 
 
+class NarrowBorder(AprilGrid):
+    drawn_border_bits = 1
+
+
+@pytest.mark.parametrize(("tag_px", "largest"), [(34, 0.2), (90, 0.05)])
+def test_tags_with_a_border_of_one_bit_are_found(tag_px: float, largest: float) -> None:
+    image, true = picture(NarrowBorder(4, 3, 0.088, 0.3, "tag36h11"), tag_px, 20, 40, 10)
+    found = GRID.detect(image)
+    assert len(found.view) == 48
+    assert np.abs(errors(GRID, found, true)).max() < largest
+
+
+def test_tags_counted_from_the_top_are_found_and_told() -> None:
+    board = replace(GRID, from_top=True)
+    image, true = picture(board, TAG_PX, 20, 40, 15)
+    found = board.detect(image)
+    assert len(found.view) == 48
+    assert np.abs(errors(board, found, true)).max() < 0.06
+    assert "counted from the top row; add :top" in str(refusal(image))
+    assert "counted from the bottom row; leave :top away" in str(refusal(picture(GRID, TAG_PX)[0], board))
+
+
 def test_parts_of_a_board_make_a_camera() -> None:
     session = Session(GRID)
     places = [(90, 40, 10, 0, (190, 110)), (90, 40, 100, 0, (-190, -110))]
@@ -135,6 +165,17 @@ def test_another_board_is_told(asked: dict[str, Any], sentence: str) -> None:
     error = refusal(image, replace(GRID, **asked))
     assert error.reason == "wrong size"
     assert sentence in str(error)
+
+
+@pytest.mark.skipif(not REAL, reason="FEWCAL_REAL_DATA is not set")
+def test_real_tags_are_found_in_order() -> None:
+    board = parse_board("aprilgrid:5x4:0.02:0.25:tag36h10:top")
+    for view, points, theirs in real_views("moms_april_left", board):
+        here = np.stack([0.12 - points[:, 0], -points[:, 1], points[:, 2]], axis=1)
+        assert len(view) >= max(len(theirs), 64)
+        found = np.linalg.norm(view.object_points[:, None] - here, axis=2)
+        assert found.min(axis=0).max() < 1e-6
+        assert np.linalg.norm(view.image_points[found.argmin(axis=0)] - theirs, axis=1).max() < 1.0
 
 
 @pytest.mark.parametrize(

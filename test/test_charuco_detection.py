@@ -8,7 +8,15 @@ import cv2
 import numpy as np
 import pytest
 from board_pictures import BOARD, CAMERA, SIZE, picture, pose
-from marker_pictures import CHARUCO, errors, indices, marker_picture, needs_markers
+from marker_pictures import (
+    CHARUCO,
+    REAL,
+    errors,
+    indices,
+    marker_picture,
+    needs_markers,
+    real_views,
+)
 
 from fewcal.boards import Charuco, parse_board
 from fewcal.camera import Camera
@@ -181,6 +189,23 @@ def test_deep_images_serve(deep: int) -> None:
     image, true = marker_picture(CHARUCO, 48, 20, 40, 15)
     found = CHARUCO.detect(image.astype(np.uint16) * deep)
     assert np.abs(errors(CHARUCO, found, true)).max() < 0.05
+
+
+@pytest.mark.skipif(not REAL, reason="FEWCAL_REAL_DATA is not set")
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("rosi_charuco", "charuco:5x7:0.036195:0.018256:DICT_6X6_250"),
+        ("yz_charuco_intr", "charuco:9x7:0.04:0.02:DICT_4X4_100"),
+    ],
+)
+def test_real_boards_are_found_in_order_and_more_of_them_than_by_opencv(name: str, text: str) -> None:
+    board = parse_board(text)
+    for view, points, theirs in real_views(name, board):
+        assert len(view) >= max(len(theirs), 0.9 * len(board.points))
+        found = np.linalg.norm(view.object_points[:, None] - points, axis=2)
+        assert found.min(axis=0).max() < 1e-6
+        assert np.linalg.norm(view.image_points[found.argmin(axis=0)] - theirs, axis=1).max() < 1.5
 
 
 @pytest.mark.parametrize(

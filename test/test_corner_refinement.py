@@ -142,3 +142,25 @@ def test_some_corners_are_located_again_among_the_others() -> None:
     mended = wrong.updated(again, some)
     np.testing.assert_allclose(mended.points, corners.points, atol=1e-3)
     np.testing.assert_allclose(mended.sigma, corners.sigma, rtol=0.05)
+
+
+def test_what_lies_beyond_what_is_known_is_not_looked_at() -> None:
+    image, true = picture(pose(BOARD, 36, 20, 40, 15), blur_px=1.5)
+    grid = true.reshape(6, 9, 2)
+    cells = (grid[:-1, :-1] + grid[1:, 1:]) / 2
+    covered = image.copy()
+    for x, y in np.rint(cells.reshape(-1, 2)).astype(int):
+        covered[y - 9 : y + 10, x - 9 : x + 10] = 150
+    inner = (slice(1, -1), slice(1, -1))
+    blind = refine_corners(covered, grid)
+    known = refine_corners(covered, grid, squares=Squares(known=0.2, blur=1.6))
+    assert np.abs(known.points - grid)[inner].max() < 0.05
+    assert known.sigma[inner].max() < 0.5 * blind.sigma[inner].max()
+
+
+def test_a_part_of_the_pixels_comes_close() -> None:
+    image, true = picture(pose(BOARD, 36, 20, 40, 15))
+    grid = true.reshape(6, 9, 2)
+    coarse, fine = (refine_corners(image, grid, coarse=coarse) for coarse in (True, False))
+    assert np.abs(coarse.points - grid).max() < 0.06
+    assert np.median(coarse.sigma) > 1.5 * np.median(fine.sigma)

@@ -4,7 +4,8 @@ import numpy as np
 from board_pictures import BOARD, CAMERA, SIZE, picture, pose
 
 from fewcal.boards import Chessboard
-from fewcal.grid import fill_gaps, find_grids, local_axes, predict, squares_meet_in_shadow
+from fewcal.corner_links import Linking
+from fewcal.grid import fill_gaps, find_chains, find_grids, local_axes, predict, squares_meet_in_shadow
 from fewcal.rendering import render
 from fewcal.saddle_points import SaddlePoints, find_saddle_points
 
@@ -18,6 +19,29 @@ def test_a_board_is_one_grid_of_its_size() -> None:
     gaps = np.linalg.norm(grid.reshape(-1, 1, 2) - true, axis=2)
     assert gaps.min(axis=1).max() < 0.5
     assert len(set(gaps.argmin(axis=1))) == len(true)
+
+
+def test_chains_hold_what_edges_link() -> None:
+    image, true = picture(pose(BOARD, 30, 30, 40, 15))
+    saddles = find_saddle_points(image)
+    grids = [grid for grid, _ in find_chains(image, saddles)]
+    assert sorted(grids[0].shape) == [6, 9]
+    assert np.linalg.norm(saddles.points[grids[0]].reshape(-1, 1, 2) - true, axis=2).min(axis=1).max() < 0.5
+    assert list(find_chains(image, saddles, least=55)) == []
+    apart = Linking(nearest=1)
+    assert all(grid.size < 54 for grid, _ in find_chains(image, saddles, apart, least=2))
+
+
+def test_an_edge_is_seen_beside_it_where_there_is_something_farther_off() -> None:
+    image, true = picture(pose(BOARD, 40))
+    covered = image.copy()
+    middles = (true.reshape(6, 9, 2)[:-1, :-1] + true.reshape(6, 9, 2)[1:, 1:]) / 2
+    for x, y in np.rint(middles.reshape(-1, 2)).astype(int):
+        covered[y - 15 : y + 16, x - 15 : x + 16] = 100
+    saddles = find_saddle_points(covered)
+    assert all((grid >= 0).sum() < 54 for grid, _ in find_chains(covered, saddles))
+    beside = Linking(side=0.02, least_side_px=2.0)
+    assert any((grid >= 0).sum() == 54 for grid, _ in find_chains(covered, saddles, beside))
 
 
 def test_missing_corners_are_found_again_or_left_open() -> None:

@@ -9,10 +9,10 @@ from fewcal.errors import InvalidInput
 from fewcal.markers import (
     DICTIONARIES,
     check_dictionary,
-    find_board_markers,
     find_dictionary,
-    find_markers,
     marker_bits,
+    read_levels,
+    read_markers,
     recognise,
 )
 
@@ -53,47 +53,66 @@ def test_an_opencv_without_markers_is_told(monkeypatch: pytest.MonkeyPatch) -> N
     markers._dictionary.cache_clear()
     monkeypatch.setattr(markers, "_ARUCO", None)
     with pytest.raises(InvalidInput, match=r"has no markers of DICT_5X5_100; install opencv.*\."):
-        find_markers(np.zeros((480, 640), np.uint8), "DICT_5X5_100")
+        marker_bits("DICT_5X5_100", np.arange(3))
+
+
+def levels_of(ids: np.ndarray, name: str, border: int, turn: int = 0) -> np.ndarray:
+    bits = np.rot90(marker_bits(name, ids), turn, axes=(1, 2))
+    return 40.0 + 150 * np.pad(bits, ((0, 0), (border, border), (border, border)))
+
+
+@needs_markers
+@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize(("name", "border"), [("DICT_5X5_100", 1), ("DICT_APRILTAG_36h11", 2)])
+def test_markers_are_told_however_they_are_turned(name: str, border: int, turn: int) -> None:
+    ids = np.array([0, 7, 29])
+    found, turns = read_markers(levels_of(ids, name, border, turn), name)
+    np.testing.assert_array_equal(found, ids)
+    np.testing.assert_array_equal(turns, turn)
+
+
+@needs_markers
+def test_a_wrong_bit_is_put_right_and_a_bright_border_is_not() -> None:
+    levels = levels_of(np.array([4, 4, 4]), "DICT_5X5_100", 1)
+    levels[1, 3, 3] = 230 - levels[1, 3, 3]
+    levels[2, 0] = 190
+    found, _ = read_markers(levels, "DICT_5X5_100")
+    assert found.tolist() == [4, 4, -1]
+    assert read_markers(levels[:0], "DICT_5X5_100")[0].shape == (0,)
+
+
+@needs_markers
+@pytest.mark.parametrize("name", DICTIONARIES)
+def test_wrong_bits_are_put_right_as_far_as_markers_differ(name: str) -> None:
+    if not hasattr(markers._ARUCO, name) or DICTIONARIES[name][1] > 600:
+        return
+    bits = marker_bits(name, np.arange(DICTIONARIES[name][1]))
+    turned = np.concatenate([np.rot90(bits, turn, axes=(1, 2)) for turn in range(4)]).reshape(
+        -1, bits[0].size
+    )
+    differing = (bits.reshape(len(bits), 1, -1) != turned).sum(axis=2)
+    np.fill_diagonal(differing, bits[0].size)
+    assert markers._correctable(name) == max(differing.min() - 1, 0) // 2
 
 
 @needs_markers
 @pytest.mark.parametrize("roll", [0, 90, 215])
-def test_markers_are_found_with_their_corners_in_order(roll: float) -> None:
+def test_bits_are_read_in_squares(roll: float) -> None:
     image, true = marker_picture(CHARUCO, 48, 30, 40, roll)
-    found = find_markers(image, CHARUCO.dictionary)
-    assert len(found) >= 16
-    # The interior corners about marker 4, in the second row of squares, are numbers 1, 2, 8 and 7.
-    around = true[[1, 2, 8, 7]]
-    corners = found.corners[found.ids == 4][0]
-    np.testing.assert_allclose(corners, around + 0.125 * (around[[2, 3, 0, 1]] - around), atol=3.0)
-    assert len(found.take(found.ids < 5)) == 5
+    square = true[[1, 2, 8, 7]]  # the corners of the second row's first white square that is not at the rim
+    found, turns = read_markers(read_levels(image, square[None], 7, 0.125), CHARUCO.dictionary)
+    assert (found.tolist(), turns.tolist()) == ([4], [0])
+    found, turns = read_markers(read_levels(image, square[None, [1, 2, 3, 0]], 7, 0.125), CHARUCO.dictionary)
+    assert (found.tolist(), turns.tolist()) == ([4], [1])
+    assert read_levels(image, square[None][:0], 7).shape == (0, 7, 7)
 
 
 @needs_markers
 def test_the_dictionary_of_other_markers_is_named() -> None:
-    image, _ = marker_picture(CHARUCO, 48, 30, 40, 10)
-    found = find_markers(image, "DICT_4X4_1000")
-    assert recognise(image, found.candidates) == "DICT_5X5_50"
-    assert recognise(image, found.candidates[:0]) is None
-    assert recognise(np.full_like(image, 128), found.candidates) is None
-
-
-@needs_markers
-def test_small_markers_are_looked_at_twice() -> None:
-    image, true = marker_picture(CHARUCO, 20, 20, 40, 10)
-    once = find_markers(image, CHARUCO.dictionary)
-    twice = find_board_markers(image, CHARUCO.dictionary, 1, CHARUCO.marker_count, 9.4)
-    assert len(once) <= len(twice)
-    marker = int(twice.ids[0])
-    np.testing.assert_allclose(twice.corners[0].mean(axis=0), markers_at(true, marker), atol=1.0)
-    nothing = find_board_markers(np.full_like(image, 128), CHARUCO.dictionary, 1, CHARUCO.marker_count, 9.4)
-    assert len(nothing) == 0
-
-
-def markers_at(true: np.ndarray, marker: int) -> np.ndarray:
-    """Middle of a marker in the image, from the corners of the board next to it."""
-    away = np.linalg.norm(CHARUCO.points[:, :2] - CHARUCO.marker_corners[marker].mean(axis=0), axis=1)
-    near = np.argsort(away)[:8]
-    plane = np.column_stack([CHARUCO.points[near, :2], np.ones(8)])
-    affine, *_ = np.linalg.lstsq(plane, true[near], rcond=None)
-    return np.append(CHARUCO.marker_corners[marker].mean(axis=0), 1.0) @ affine
+    image, true = marker_picture(CHARUCO, 48, 30, 40, 10)
+    squares = true.reshape(4, 6, 2)
+    quads = np.stack([squares[:-1, :-1], squares[:-1, 1:], squares[1:, 1:], squares[1:, :-1]], axis=2)
+    quads = quads.reshape(-1, 4, 2)
+    assert recognise(image, quads, 1, 0.125) == "DICT_5X5_50"
+    assert recognise(image, quads[:0], 1, 0.125) is None
+    assert recognise(np.full_like(image, 128), quads, 1, 0.125) is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fewcal.window_fit import Windows, blurred_step, cut_windows, fit_windows
+from fewcal.window_fit import NEAR, Windows, blurred_step, cut_windows, fit_windows, thinned
 
 Pixels = NDArray[np.float32]
 
@@ -53,6 +53,18 @@ def test_windows_may_each_have_their_own_pixels() -> None:
     np.testing.assert_allclose(
         fit_windows(spot, start, own, -NONE, NONE).parameters, common.parameters, atol=1e-3
     )
+
+
+def test_a_part_of_the_pixels_brings_close_and_a_step_from_there_suffices() -> None:
+    windows, true = spots(1.0, 30)
+    few = thinned(windows, 4)
+    assert few.values.shape[1] == pytest.approx(windows.values.shape[1] / 4, rel=0.1)
+    start = true + np.array([0.5, -0.5, 10, 5])
+    whole = fit_windows(spot, start, windows, -NONE, NONE)
+    close = fit_windows(spot, start, few, -NONE, NONE)
+    assert np.abs(close.parameters - whole.parameters)[:, :2].max() < 5 * close.sigma.max()
+    again = fit_windows(spot, close.parameters, windows, -NONE, NONE, damping=NEAR)
+    assert (np.abs(again.parameters - whole.parameters)[:, :2] < 0.1 * whole.sigma[:, None]).all()
 
 
 def test_bounds_hold() -> None:

@@ -1,4 +1,4 @@
-"""One trial of the paper's synthetic study: what a method finds, how far off, how fast, and what is possible.
+"""Trials of the paper's synthetic study: what a method finds, how far off, how fast, and what is possible.
 
 A trial succeeds when more than 70 % of the parameters (fx s u0 fy v0 k1 k2, and three Euler angles and three
 translations a view) lie within 30 % of the truth, or within 0.1 where the truth is 0 (section 5).
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 import fewcal
 from fewcal.adjustment import Adjustment, Geometry
 from fewcal.constraints import Normal, Priors
-from fewcal.parametrisation import ScaleFree
+from fewcal.parametrisation import PixelModel, ScaleFree
 from fewcal.posterior import gaussian_covariance
-from fewcal.views import View, stack_views
+from fewcal.views import View, ViewStack, stack_views
 from fewcal.virtual_camera import (
     FIGURE_12_CAMERA,
     FIGURE_12_REACH,
@@ -32,10 +32,12 @@ from fewcal.virtual_camera import (
     VirtualCamera,
     paper_row,
 )
-from fewcal.zhu2020 import estimate_zhu2020
+from fewcal.zhu2020 import Solutions, solve_zhang, solve_zhu2020
 
 Array = NDArray[np.float64]
 Views: TypeAlias = tuple[View, ...]
+Solver: TypeAlias = Callable[[Sequence[Views], tuple[int, int]], "list[Array | None]"]
+"""Trials and the size of the image to the parameters of each, None where there is no answer."""
 
 ROUNDING_PX = 1 / math.sqrt(12)
 """Standard deviation of the error that rounding to whole pixels makes."""
@@ -105,6 +107,9 @@ class Outcome(NamedTuple):
     focal_error : float
         Relative, of fx; infinite without an answer.
     seconds : float
+        Share of the time that all trials of the row took.
+    alone : float
+        Seconds for this trial by itself; NaN where that was not tried, which is in all but one of a row.
     bounds : (3,)
         Cramer-Rao bound of ln fx from the points alone, with the priors of map but that of the focal length,
         and with all its priors. NaN for exact points.
@@ -117,6 +122,7 @@ class Outcome(NamedTuple):
     bias: Array
     focal_error: float
     seconds: float
+    alone: float
     bounds: Array
 
 
@@ -136,31 +142,51 @@ def run(job: Job) -> list[Outcome]:
     tilts = [tilt for i, tilt in enumerate(PAPER_TILTS_DEG, first) if i % job.every == 0]
     if not tilts:
         return []
+    trials = list(paper_row(job.columns, tilts, case.views, case.camera, case.reach))
+    bounds = [focal_bounds(case.camera, trial) if case.quantised else np.full(3, np.nan) for trial in trials]
     found = []
-    for trial in paper_row(job.columns, tilts, case.views, case.camera, case.reach):
-        bounds = focal_bounds(case.camera, trial) if case.quantised else np.full(3, np.nan)
-        found += [attempt(case, trial, method, bounds) for method in job.methods]
+    for method in job.methods:
+        found += attempt(case, trials, method, bounds)
     return found
 
 
-def attempt(case: Case, trial: Trial, method: str, bounds: Array) -> Outcome:
+def attempt(case: Case, trials: Sequence[Trial], method: str, bounds: Sequence[Array]) -> list[Outcome]:
     """Calibrate, and compare with the truth."""
-    views = trial.views
+    camera, solve = case.camera, SOLVERS[method]
+    views = [trial.views for trial in trials]
     if case.quantised:
-        views = tuple(fewcal.View(view.object_points, np.round(view.image_points)) for view in views)
-    camera = case.camera
-    truth = _parameters(camera.intrinsics, camera.s, camera.pixel_distortion, trial.poses)
-    start = time.perf_counter()
-    try:
-        bias = SOLVERS[method](views, camera.image_size) - truth
-    except fewcal.FewcalError:
-        bias = np.full(len(truth), np.nan)
-    seconds = time.perf_counter() - start
+        views = [tuple(View(v.object_points, np.round(v.image_points)) for v in pair) for pair in views]
+    answers, seconds = _timed(solve, views, camera.image_size)
+    middle = len(trials) // 2
+    alone = np.full(len(trials), np.nan)
+    _, alone[middle] = _timed(solve, views[middle : middle + 1], camera.image_size)
     angles = np.array([name.rstrip("12") in POSE[:ANGLES] for name in case.parameters])
-    bias[angles] = np.remainder(bias[angles] + np.pi, 2 * np.pi) - np.pi
-    error = np.nan_to_num(abs(bias[0] / truth[0]), nan=np.inf)
-    success = succeeds(bias, truth)
-    return Outcome(method, trial.columns, trial.tilt_deg, success, bias, error, seconds, bounds)
+    outcomes = []
+    for trial, answer, by_itself, bound in zip(trials, answers, alone.tolist(), bounds, strict=True):
+        truth = _parameters(camera.intrinsics, camera.s, camera.pixel_distortion, trial.poses)
+        bias = np.full(len(truth), np.nan) if answer is None else answer - truth
+        bias[angles] = np.remainder(bias[angles] + np.pi, 2 * np.pi) - np.pi
+        error = np.nan_to_num(abs(bias[0] / truth[0]), nan=np.inf)
+        outcomes.append(
+            Outcome(
+                method,
+                trial.columns,
+                trial.tilt_deg,
+                succeeds(bias, truth),
+                bias,
+                error,
+                seconds / len(trials),
+                by_itself,
+                bound,
+            )
+        )
+    return outcomes
+
+
+def _timed(solve: Solver, trials: Sequence[Views], size: tuple[int, int]) -> tuple[list[Array | None], float]:
+    start = time.perf_counter()
+    answers = solve(trials, size)
+    return answers, time.perf_counter() - start
 
 
 def succeeds(bias: Array, truth: Array) -> bool:
@@ -196,29 +222,46 @@ def focal_bounds(camera: VirtualCamera, trial: Trial) -> Array:
     return np.array([bound(_no_rows), bound(vague.rows(width)), bound(Priors().rows(width))])
 
 
-def _calibrate(views: Views, size: tuple[int, int], method: str, priors: Priors = Priors()) -> Array:
-    found = fewcal.calibrate(views, size, method=method, priors=priors)
-    return _parameters(found.camera.intrinsics, found.skew, found.pixel_distortion, found.board_poses)
+def _one_by_one(trials: Sequence[Views], size: tuple[int, int], priors: Priors) -> list[Array | None]:
+    """Map, which knows no batch of problems: it has one of starts."""
+    answers: list[Array | None] = []
+    for views in trials:
+        try:
+            found = fewcal.calibrate(views, size, priors=priors)
+        except fewcal.FewcalError:
+            answers.append(None)
+            continue
+        answers.append(
+            _parameters(found.camera.intrinsics, found.skew, found.pixel_distortion, found.board_poses)
+        )
+    return answers
 
 
-def _centred(views: Views, size: tuple[int, int]) -> Array:
-    stack = stack_views(views)
-    geometry = estimate_zhu2020(stack, size, centred=True).geometry
-    theta = geometry.theta[0]
-    poses = np.tile(np.eye(4), (len(views), 1, 1))
-    poses[:, :3, :3] = geometry.rotation[0] @ np.swapaxes(stack.plane, -1, -2)
-    poses[:, :3, 3] = geometry.position[0] - (poses[:, :3, :3] @ stack.centroid[..., None])[..., 0]
-    return _parameters(theta[:4], theta[4], theta[5:], tuple(poses))
+def _at_once(
+    trials: Sequence[Views], size: tuple[int, int], solve: Callable[[ViewStack, tuple[int, int]], Solutions]
+) -> list[Array | None]:
+    """All trials in one batch."""
+    solutions = solve(ViewStack.several([stack_views(views) for views in trials]), size)
+    answers: list[Array | None] = []
+    for item in range(len(trials)):
+        try:
+            found = solutions.estimate(item)
+        except fewcal.FewcalError:
+            answers.append(None)
+            continue
+        model = found.adjustment.model
+        assert isinstance(model, PixelModel)
+        theta, poses = found.geometry.theta[0], found.board_poses()
+        answers.append(_parameters(theta[:4], theta[4], model.coefficients(theta), tuple(poses)))
+    return answers
 
 
-SOLVERS: dict[str, Callable[[Views, tuple[int, int]], Array]] = {
-    "map": partial(_calibrate, method="map"),
-    "map, f unknown": partial(
-        _calibrate, method="map", priors=Priors(log_focal_over_width=Normal(0.0, VAGUE))
-    ),
-    "zhu2020": partial(_calibrate, method="zhu2020"),
-    "zhu2020, centred": _centred,
-    "zhang": partial(_calibrate, method="zhang"),
+SOLVERS: dict[str, Solver] = {
+    "map": partial(_one_by_one, priors=Priors()),
+    "map, f unknown": partial(_one_by_one, priors=Priors(log_focal_over_width=Normal(0.0, VAGUE))),
+    "zhu2020": partial(_at_once, solve=solve_zhu2020),
+    "zhu2020, centred": partial(_at_once, solve=partial(solve_zhu2020, centred=True)),
+    "zhang": partial(_at_once, solve=lambda views, _: solve_zhang(views)),
 }
 """The methods, and two variants that tell what decides: map without a prior of the focal length, and zhu2020
 with the principal point held at the centre in the closed form of two views."""

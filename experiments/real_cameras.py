@@ -8,6 +8,8 @@ Printed for each method, median and 90th percentile: the relative focal error, a
 after the best rotation, over a grid on the image, in thousandths of the image diagonal. Then gross failures
 (focal error above 10 %, or no answer), how many of those the verdict had flagged, the share of focal errors
 within 1, 2 and 3 reported sigma, the answers called usable, and those of them off by more than 3.
+Where mrcal is installed it is among them, with and without the shape of the board among its unknowns; it
+takes boards whose points lie on a square lattice.
 `--plots` draws the distribution of the projection error, which needs matplotlib.
 """
 
@@ -25,6 +27,7 @@ from typing import NamedTuple
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
+import mrcal_camera
 import numpy as np
 from numpy.typing import NDArray
 
@@ -90,6 +93,11 @@ METHODS: dict[str, Method] = {
     "opencv-expert": theirs(EXPERT),
     "opencv-expert-k1": theirs(EXPERT | cv2.CALIB_FIX_K2),
 }
+if mrcal_camera.AVAILABLE:
+    METHODS |= {
+        "mrcal": lambda views, size: (mrcal_camera.calibrate(views, size), None, True),
+        "mrcal-flat": lambda views, size: (mrcal_camera.calibrate(views, size, warp=False), None, True),
+    }
 
 
 def turned_errors(camera: fewcal.Camera, truth: fewcal.Camera, size: tuple[int, int]) -> tuple[Array, Array]:
@@ -216,8 +224,8 @@ def cells(found: Sequence[Result]) -> list[str]:
     false = ((z > 3) & (usable > 0)).sum() / max(usable.sum(), 1)
     return [
         str(len(found)),
-        _quantiles(100 * focal) + " %",
-        _quantiles(projection),
+        quantiles(100 * focal) + " %",
+        quantiles(projection),
         f"{gross.sum()}",
         f"{(gross & (usable == 0)).sum()}",
         " ".join(f"{(known < bound).mean():.2f}" for bound in (1, 2, 3)) if len(known) else "-",
@@ -226,12 +234,10 @@ def cells(found: Sequence[Result]) -> list[str]:
     ]
 
 
-def _quantiles(errors: Array) -> str:
+def quantiles(errors: Array) -> str:
     """Median and 90th percentile; "none" where that has no answer."""
-    quantiles = np.percentile(errors, (50, 90), method="lower").tolist()
-    return " / ".join(
-        f"{quantile:#.3g}".rstrip(".") if np.isfinite(quantile) else "none" for quantile in quantiles
-    )
+    values = np.percentile(errors, (50, 90), method="lower").tolist()
+    return " / ".join(f"{value:#.3g}".rstrip(".") if np.isfinite(value) else "none" for value in values)
 
 
 def table(results: Mapping[tuple[str, int], Sequence[Result]]) -> None:

@@ -1,19 +1,17 @@
 """Time calibrate() side by side with others on the same corners, and print a markdown table.
 
-    python experiments/speed.py [--rounds 20] [--trials 27]
+    python experiments/speed.py [--rounds 20]
 
 Each round calls everybody once, in turn, on the same views of 54 points; the ratio is that of a round, and
 its median is printed. cv2.calibrateCamera runs with default flags. scipy.optimize.least_squares minimises the
 same residuals from the answer of calibrate() with the focal length moved by 2 %: one minimisation, without
-homographies, starts, error bars or verdict. Then the time that an import takes on top of numpy and OpenCV,
-and the paper's trials a second, each method on one core.
+homographies, starts, error bars or verdict. mrcal takes part where it is installed. Then the time that an
+import takes on top of numpy and OpenCV. For the paper's trials a second see zhu2020.py.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import itertools
 import os
 import subprocess
 import sys
@@ -24,6 +22,7 @@ from collections.abc import Callable
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
+import mrcal_camera
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
@@ -32,7 +31,6 @@ import fewcal
 from fewcal.adjustment import Adjustment, Geometry, rotation_from_vector
 from fewcal.parametrisation import ScaleFree
 from fewcal.views import stack_views
-from fewcal.virtual_camera import PAPER_CAMERA, paper_trials
 
 Array = NDArray[np.float64]
 
@@ -41,8 +39,6 @@ CAMERA = fewcal.Camera(1100.0, 1103.0, 650.0, 470.0, [-0.12, 0.03, 0.0006, -0.00
 BOARD = fewcal.Chessboard(9, 6, 0.025)
 NOISE_PX = 0.2
 COUNTS = (1, 2, 5, 10, 20)
-METHODS = ("map", "zhu2020", "zhang")
-CASES = (("one view", 1, False), ("two views", 2, False), ("two views, quantised", 2, True))
 
 
 def scene(count: int) -> list[fewcal.View]:
@@ -94,6 +90,16 @@ def run_scipy(views: list[fewcal.View]) -> Callable[[], object]:
     return lambda: least_squares(lambda x: rows(x)[0], start, lambda x: rows(x)[1], x_scale="jac")
 
 
+def run_mrcal(views: list[fewcal.View]) -> Callable[[], object]:
+    """Mrcal from its own seed, the board flat."""
+    return lambda: mrcal_camera.calibrate(views, SIZE, warp=False)
+
+
+OTHERS = {"cv2.calibrateCamera": run_opencv, "scipy least_squares": run_scipy}
+if mrcal_camera.AVAILABLE:
+    OTHERS["mrcal"] = run_mrcal
+
+
 def timed(call: Callable[[], object]) -> float:
     """Seconds that a call takes."""
     start = time.perf_counter()
@@ -104,7 +110,7 @@ def timed(call: Callable[[], object]) -> float:
 def race(count: int, rounds: int) -> str:
     """One row of the table: medians of times, and of the ratios of calibrate() to the others."""
     views = scene(count)
-    calls = [lambda: fewcal.calibrate(views, SIZE), run_opencv(views), run_scipy(views)]
+    calls = [lambda: fewcal.calibrate(views, SIZE), *(run(views) for run in OTHERS.values())]
     for call in calls:
         call()
     seconds = np.array([[timed(call) for call in calls] for _ in range(rounds)])
@@ -120,46 +126,20 @@ def import_seconds(code: str) -> float:
     )
 
 
-def paper_views(count: int, quantised: bool, every: int) -> list[tuple[fewcal.View, ...]]:
-    """Every n-th of the paper's trials."""
-    trials = [trial.views for trial in itertools.islice(paper_trials(count), 0, None, every)]
-    if not quantised:
-        return trials
-    return [tuple(fewcal.View(v.object_points, np.round(v.image_points)) for v in views) for views in trials]
-
-
-def trials_a_second(method: str, trials: list[tuple[fewcal.View, ...]]) -> str:
-    """Trials of the paper a second, on one core; the views were made beforehand."""
-
-    def attempt(views: tuple[fewcal.View, ...]) -> None:
-        with contextlib.suppress(fewcal.FewcalError):
-            fewcal.calibrate(views, PAPER_CAMERA.image_size, method=method)
-
-    return f"{len(trials) / timed(lambda: [attempt(views) for views in trials]):.0f}"
-
-
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--rounds", type=int, default=20, help="rounds of calls (default 20)")
-    parser.add_argument(
-        "--trials", type=int, default=27, help="every n-th of the paper's trials (default 27)"
-    )
     options = parser.parse_args()
     cv2.setNumThreads(1)
     print("Milliseconds, and in brackets the median ratio of calibrate() to it:\n")
-    print("| views | calibrate() | cv2.calibrateCamera | scipy least_squares |\n|---|---|---|---|")
+    print("| views | calibrate() | " + " | ".join(OTHERS) + " |\n|---|---" + "|---" * len(OTHERS) + "|")
     for count in COUNTS:
         print(race(count, options.rounds), flush=True)
     basis = import_seconds("import numpy, cv2")
     print(
-        f"\nimport fewcal, on top of numpy and OpenCV: {import_seconds('import cv2, fewcal') - basis:.2f} s\n"
+        f"\nimport fewcal, on top of numpy and OpenCV: {import_seconds('import cv2, fewcal') - basis:.2f} s"
     )
-    print("| trials a second | map | zhu2020 | zhang |\n|---|---|---|---|")
-    for name, count, quantised in CASES:
-        trials = paper_views(count, quantised, options.trials)
-        cells = [trials_a_second(method, trials) for method in METHODS]
-        print("| " + " | ".join([name, *cells]) + " |", flush=True)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,9 @@ SUCCESS_COLUMNS = (
     "printed",
     "no answer",
     "focal error, median / 90 % / largest",
-    "run time, mean (sd), ms",
+    "one trial alone, mean (sd), ms",
+    "printed",
+    "trials a second in a batch, one core",
     "printed",
 )
 
@@ -67,7 +69,7 @@ def successes(name: str, outcomes: Sequence[Outcome]) -> None:
     for method, of in by_method(outcomes).items():
         printed, spent = PRINTED.get((name, method), (None, None))
         errors = np.percentile([outcome.focal_error for outcome in of], (50, 90, 100), method="lower")
-        ms = 1e3 * np.array([outcome.seconds for outcome in of])
+        ms = 1e3 * np.array([outcome.alone for outcome in of if outcome.alone > 0])
         rows.append(
             [
                 method,
@@ -77,6 +79,8 @@ def successes(name: str, outcomes: Sequence[Outcome]) -> None:
                 " / ".join("-" if np.isinf(error) else f"{100 * error:.2g} %" for error in errors),
                 f"{ms.mean():.1f} ({ms.std():.1f})",
                 "-" if spent is None else "{:.1f} ({:.1f})".format(*spent),
+                f"{1 / np.mean([outcome.seconds for outcome in of]):.0f}",
+                "-" if spent is None else f"{1e3 / spent[0]:.0f}",
             ]
         )
     print(f"## {CASES[name].title}\n")

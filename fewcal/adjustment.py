@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .constraints import PriorRows
 from .departures import Departures
-from .least_squares import NormalEquations, Stop
+from .least_squares import NormalEquations, Stop, take
 from .noise import Noise
 from .parametrisation import SHIFT, Parametrisation, ScaleFree
 from .views import ViewStack
@@ -69,6 +69,7 @@ class Adjustment:
     Parameters
     ----------
     views : ViewStack
+        The same for every start, or with a first axis (B, ...) of its own a set for each.
     model : Parametrisation
     constraint : callable
         The rows on the camera alone.
@@ -97,7 +98,7 @@ class Adjustment:
         theta, rotation, position = state
         board = self.views.points
         size = self.model.size
-        columns = np.empty((*rotation.shape[:2], POSE + theta.shape[1] + 1, *board.shape[1:]))
+        columns = np.empty((*rotation.shape[:2], POSE + theta.shape[1] + 1, *board.shape[-2:]))
         points = rotation[..., :2] @ board
         points += position[..., None]
         if self.departures is not None:
@@ -112,7 +113,7 @@ class Adjustment:
         # A turn w of the board moves its point p by R (w x p), and d . R (w x p) = w . (p x R'd).
         d = np.swapaxes(rotation, -1, -2) @ shift.reshape(*shift.shape[:3], -1)
         d = d.reshape(shift.shape)
-        x, y = board[:, 0, None], board[:, 1, None]
+        x, y = board[..., 0, None, :], board[..., 1, None, :]
         np.multiply(d[:, :, 2], y, out=turn[:, :, 0])
         np.multiply(d[:, :, 2], -x, out=turn[:, :, 1])
         np.subtract(d[:, :, 1] * x, d[:, :, 0] * y, out=turn[:, :, 2])
@@ -126,7 +127,7 @@ class Adjustment:
             np.multiply(d[:, :, 2, None], self.departures.lift[:, :, None], out=columns[:, :, -4:-2])
             columns[:, :, -2] = self.departures.shift
         columns[:, :, -1] -= self.views.pixels
-        columns *= self.views.weights[:, None, None, :]
+        columns *= self.views.weights[..., None, None, :]
         return columns
 
     def linearise(self, state: Geometry) -> NormalEquations:
@@ -180,7 +181,8 @@ class Adjustment:
 
     def take(self, items: NDArray[np.intp]) -> Adjustment:
         """Keep some starts only."""
-        return self if self.noise is None else replace(self, noise=self.noise.take(items))
+        kept = self if self.noise is None else replace(self, noise=self.noise.take(items))
+        return kept if self.views.points.ndim == 3 else replace(kept, views=take(self.views, items))
 
 
 @dataclass(frozen=True)
@@ -202,6 +204,15 @@ class Estimate:
     geometry: Geometry
     sigma: float
     stop: Stop
+
+    def board_poses(self) -> Array:
+        """T_camera_board (V, 4, 4) of each view, in the frame that the board's points were given in."""
+        views, (_, rotation, position) = self.adjustment.views, self.geometry
+        poses = np.zeros((len(views.centroid), 4, 4))
+        poses[:, :3, :3] = rotation[0] @ np.swapaxes(views.plane, -1, -2)
+        poses[:, :3, 3] = position[0] - (poses[:, :3, :3] @ views.centroid[..., None])[..., 0]
+        poses[:, 3, 3] = 1
+        return poses
 
 
 _CROSS = np.zeros((3, 9))

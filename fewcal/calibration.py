@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .adjustment import Estimate, Rows
 from .camera import Camera
 from .constraints import PRIOR_ROWS, PriorRows, Priors
+from .copies import share_weight
 from .departures import COUNT
 from .errors import InvalidInput
 from .least_squares import Stop
@@ -167,7 +168,7 @@ def calibrate(
             raise InvalidInput(f"{name} must be fewcal.{kind.__name__}, not {value!r}.")
     stack = stack_views(views)
     if method == "map":
-        found = estimate_map(stack, size, priors)
+        found = estimate_map(share_weight(stack, views, size), size, priors)
     elif method == "zhu2020":
         found = estimate_zhu2020(stack, size)
     elif method == "zhang":
@@ -258,17 +259,12 @@ def _result(
     thresholds: Thresholds,
 ) -> Calibration:
     stack = found.adjustment.views
-    rotation = found.geometry.rotation[0] @ np.swapaxes(stack.plane, -1, -2)
-    position = found.geometry.position[0]
-    poses = np.zeros((len(views), 4, 4))
-    poses[:, :3, :3] = rotation
-    poses[:, :3, 3] = position - (rotation @ stack.centroid[..., None])[..., 0]
-    poses[:, 3, 3] = 1
+    poses = found.board_poses()
     counts = (stack.weights > 0).sum(axis=1)
     squares = _squared_errors(rows, found.sigma, stack.weights, solution.departures)
     covariance = solution.covariance
     evidence = Evidence(
-        rotations=rotation,
+        rotations=poses[:, :3, :3],
         extents=np.array([extent(view.image_points, size) for view in views]),
         camera=solution.camera,
         image_size=size,

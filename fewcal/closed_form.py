@@ -67,29 +67,24 @@ def zhang_intrinsics(H: Array) -> Array:
 
     Parameters
     ----------
-    H : (V, 3, 3)
+    H : (..., V, 3, 3)
 
     Returns
     -------
-    (5,) fx, fy, u0, v0, skew, pixels.
-
-    Raises
-    ------
-    ImaginaryFocalLength
-        When a square root would be complex.
+    (..., 5) fx^2, fy^2, u0, v0, skew. What is not positive, infinite or NaN in the squares is for the caller
+    to refuse, with :func:`checked_focal_length`; the skew is NaN then.
     """
     H = H / np.linalg.norm(H, axis=(-2, -1), keepdims=True)
-    rows = np.concatenate([_zhang_v(H, 0, 1), _zhang_v(H, 0, 0) - _zhang_v(H, 1, 1)])
-    b11, b12, b22, b13, b23, b33 = np.linalg.svd(rows)[2][5]
+    rows = np.concatenate([_zhang_v(H, 0, 1), _zhang_v(H, 0, 0) - _zhang_v(H, 1, 1)], axis=-2)
+    b11, b12, b22, b13, b23, b33 = np.moveaxis(np.linalg.svd(rows)[2][..., 5, :], -1, 0)
     determinant = b11 * b22 - b12 * b12
     with np.errstate(divide="ignore", invalid="ignore"):
         v0 = (b12 * b13 - b11 * b23) / determinant
         scale = b33 - (b13 * b13 + v0 * (b12 * b13 - b11 * b23)) / b11
-        fx = checked_focal_length(scale / b11)
-        fy = checked_focal_length(scale * b11 / determinant)
-        skew = -b12 * fx * fx * fy / scale
-        u0 = skew * v0 / fy - b13 * fx * fx / scale
-    return np.array([fx, fy, u0, v0, skew])
+        fx2, fy2 = scale / b11, scale * b11 / determinant
+        u0 = -(b12 * v0 + b13) * fx2 / scale
+        skew = -b12 * fx2 * np.sqrt(fy2) / scale
+    return np.stack([fx2, fy2, u0, v0, skew], axis=-1)
 
 
 def checked_focal_length(squared: float) -> float:

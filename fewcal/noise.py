@@ -49,11 +49,13 @@ class Noise(NamedTuple):
 
     @classmethod
     def of(cls, views: ViewStack, priors: Priors) -> Noise:
-        """Count the degrees of freedom of some views; a batch of one."""
-        rows = 2 * int((views.weights > 0).sum())
+        """Count the degrees of freedom of some views, copies as one; a batch of one."""
+        points = int((views.weights > 0).sum())
         median, spread = priors.corner_sigma_px
-        freedom = max(rows - 6 * len(views.points) - 8, 0)
-        return cls(np.array([float(freedom)]), np.array([median]), np.array([spread]))
+        # The mean square of the weights is 1 but for copies.
+        share = float((views.weights**2).sum()) / max(points, 1)
+        freedom = max(share * (2 * points - 6 * len(views.points)) - 8, 0.0)
+        return cls(np.array([freedom]), np.array([median]), np.array([spread]))
 
     def known(self, sigma: float | None = None) -> Noise:
         """Scatter that is known: that of a total standard deviation in pixels, or the median."""

@@ -21,7 +21,7 @@ from .constraints import Priors
 from .departures import Departures
 from .parametrisation import ScaleFree
 from .posterior import posterior
-from .views import View, align_views, stack_views
+from .views import View, align_views, distances, stack_views
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,9 @@ class Information:
 
     Attributes
     ----------
-    views : (V, S, S) information matrices of camera and bend of the board, poses eliminated
+    views : (V, S, S)
+        Information matrices of camera and bend of the board, poses eliminated, each as if no other view
+        showed the board in the same place.
     prior : (S, S)
         Of the widths of the heavy-tailed priors that all the views together suggest.
     spread : (S, S)
@@ -123,19 +125,11 @@ def thin(views: Sequence[View], count: int = CANDIDATES) -> list[int]:
         return list(range(len(views)))
     points = align_views(views)
     chosen = [0]
-    distance = _distances(points, 0)
+    distance = distances(points, 0)
     while len(chosen) < count and distance.max() > 0:
         chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, _distances(points, chosen[-1]))
+        distance = np.minimum(distance, distances(points, chosen[-1]))
     return sorted(chosen)
-
-
-def _distances(points: Array, view: int) -> Array:
-    """Root mean square distance (V,) of common points (V, P, 2), pixels; infinite where there are none."""
-    squares = np.sum((points - points[view]) ** 2, axis=2)
-    common = np.isfinite(squares)
-    count, total = common.sum(axis=1), np.where(common, squares, 0).sum(axis=1)
-    return np.asarray(np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.inf)))
 
 
 def _spread(model: ScaleFree, theta: Array) -> Array:

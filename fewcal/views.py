@@ -108,6 +108,17 @@ def align_views(views: Sequence[View]) -> NDArray[np.float64]:
     return aligned
 
 
+def distances(points: NDArray[np.float64], view: int) -> NDArray[np.float64]:
+    """Root mean square distance (V,) of the points that a view has in common with each, pixels.
+
+    Infinite where there are none. `points` (V, P, 2) are those of :func:`align_views`.
+    """
+    squares = np.sum((points - points[view]) ** 2, axis=2)
+    common = np.isfinite(squares)
+    count, total = common.sum(axis=1), np.where(common, squares, 0).sum(axis=1)
+    return np.asarray(np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.inf)))
+
+
 class ViewStack(NamedTuple):
     """Several views in one set of arrays; shorter views are padded with points of weight 0.
 
@@ -129,6 +140,11 @@ class ViewStack(NamedTuple):
     plane: NDArray[np.float64]
     pixels: NDArray[np.float64]
     weights: NDArray[np.float64]
+
+    @classmethod
+    def several(cls, stacks: Sequence[ViewStack]) -> ViewStack:
+        """Put stacks of the same shape side by side, along a new first axis of every attribute."""
+        return cls(*(np.stack(parts) for parts in zip(*stacks, strict=True)))
 
 
 def stack_views(views: Sequence[View]) -> ViewStack:

@@ -93,6 +93,14 @@ def make_parser(actions: Mapping[str, Action]) -> argparse.ArgumentParser:
         description="Camera calibration from one or two views of a board, with honest error bars.",
     )
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    _add_calibrate(commands, actions)
+    _add_info(commands, actions)
+    _add_board(commands, actions)
+    _add_play(commands, actions)
+    return parser
+
+
+def _add_calibrate(commands: argparse._SubParsersAction[_Parser], actions: Mapping[str, Action]) -> None:
     command = commands.add_parser(
         "calibrate",
         help="calibrate a camera from a recording or images",
@@ -158,14 +166,14 @@ def make_parser(actions: Mapping[str, Action]) -> argparse.ArgumentParser:
         "--out", type=Path, metavar="DIR", help="folder that receives camera.yaml and calibration.json"
     )
     command.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else")
-    info = commands.add_parser(
+
+
+def _add_info(commands: argparse._SubParsersAction[_Parser], actions: Mapping[str, Action]) -> None:
+    command = commands.add_parser(
         "info", help="list the topics of a recording", description="List what a recording holds."
     )
-    info.set_defaults(run=actions["info"])
-    info.add_argument("recording", metavar="BAG", help="a .mcap, .db3 or .bag file, or a rosbag2 folder")
-    _add_board(commands, actions)
-    _add_play(commands, actions)
-    return parser
+    command.set_defaults(run=actions["info"])
+    command.add_argument("recording", metavar="BAG", help="a .mcap, .db3 or .bag file, or a rosbag2 folder")
 
 
 def _add_board(commands: argparse._SubParsersAction[_Parser], actions: Mapping[str, Action]) -> None:

@@ -91,13 +91,12 @@ def test_a_fronto_parallel_view_has_no_focal_length() -> None:
 def test_zhang_gives_all_five_intrinsics_from_three_views(count: int) -> None:
     A = np.array([[1200.0, 7.0, 630.0], [0, 1250.0, 500.0], [0, 0, 1]])
     H, _ = homographies(A, SQUARE, count)
-    np.testing.assert_allclose(zhang_intrinsics(H), [1200, 1250, 630, 500, 7], rtol=1e-6)
+    np.testing.assert_allclose(zhang_intrinsics(H), [1200**2, 1250**2, 630, 500, 7], rtol=1e-6)
 
 
 def test_zhang_finds_no_focal_length_in_one_view() -> None:
     H, _ = homographies(SQUARE.matrix, SQUARE, 1)
-    with pytest.raises(ImaginaryFocalLength, match="tilt the board"):
-        zhang_intrinsics(H)
+    assert not (zhang_intrinsics(H)[:2] > 0).all()
 
 
 # --- the root of f^2 ---------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from real_cameras import Result, cells, draws, load, projection_error
 from scenes import SIZE, views_at
+from what_limits import PARTS, answer, knowing, run
 
 import fewcal
 
@@ -92,3 +93,14 @@ def test_a_small_run(folder: Path) -> None:
     assert median < 1.0
     assert _row(done.stdout, "map", 2)[5] == "0"
     assert (folder / "real_cameras.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_is_known_of_a_camera_is_found_again(folder: Path) -> None:
+    views, size = load(folder / "rendered" / "corners.npz")
+    known = answer(knowing(CAMERA, size, ("centre", "radial", "aspect")), views[:1], size)[0]
+    np.testing.assert_allclose(known.intrinsics[2:4], CAMERA.intrinsics[2:4], atol=0.1)
+    assert known.fy / known.fx == pytest.approx(CAMERA.fy / CAMERA.fx, abs=1e-4)
+    assert answer(knowing(CAMERA, size, ("focal",)), views[:1], size)[0].fx == pytest.approx(1100, rel=1e-3)
+    found = run(folder / "rendered" / "corners.npz", pairs=4)
+    assert set(found) == {(count, name) for count in (1, 2) for name in PARTS}
+    assert found[2, "focal length"][0].focal < found[2, "nothing"][0].focal

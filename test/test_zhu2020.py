@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,8 +14,8 @@ from fewcal.errors import DegenerateViews, ImaginaryFocalLength
 from fewcal.homography import homographies, refine_homographies
 from fewcal.least_squares import Stop
 from fewcal.parametrisation import PixelModel
-from fewcal.views import View, stack_views
-from fewcal.zhu2020 import estimate_zhang, estimate_zhu2020
+from fewcal.views import View, ViewStack, stack_views
+from fewcal.zhu2020 import estimate_zhang, estimate_zhu2020, solve_zhang, solve_zhu2020
 
 Array = NDArray[np.float64]
 
@@ -133,3 +135,24 @@ def test_what_zhang_cannot_do_has_a_name() -> None:
     ]
     with pytest.raises(DegenerateViews, match="puts a board behind the camera"):
         estimate_zhang(stack_views([View(SQUARE_TARGET, pixels) for pixels in wild]))
+
+
+def test_many_sets_of_views_at_once_are_each_as_alone() -> None:
+    good = [views_at(*tilts, camera=RADIAL) for tilts in (TWO, ((30, 10), (50, 200)))]
+    # Two parallel boards have no focal length.
+    sets = [stack_views(views) for views in (good[0], views_at((0, 0), (0, 0), camera=RADIAL), good[1])]
+    for solutions, alone in (
+        (solve_zhu2020(ViewStack.several(sets), SIZE), lambda views: estimate_zhu2020(views, SIZE)),
+        (solve_zhang(ViewStack.several(sets)), estimate_zhang),
+    ):
+        for item, views in enumerate(sets):
+            try:
+                expected = alone(views)
+            except DegenerateViews as error:
+                with pytest.raises(type(error), match=re.escape(str(error)[:30])):
+                    solutions.estimate(item)
+                continue
+            found = solutions.estimate(item)
+            np.testing.assert_allclose(found.geometry.theta, expected.geometry.theta, rtol=1e-6, atol=1e-9)
+            np.testing.assert_allclose(found.board_poses(), expected.board_poses(), atol=1e-7)
+    assert solve_zhu2020(ViewStack.several(sets), SIZE).estimate(2).stop == Stop.CONVERGED

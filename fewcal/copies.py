@@ -1,0 +1,37 @@
+"""Views that show the board in the same place tell the same thing.
+
+What moves neighbouring corners together, such as a bent board or what the lens model leaves out, does so
+again in a second picture from the same place: its errors are those of the first. So copies share the weight
+of one view, and a camera that looks at a board for a minute is not surer of itself than one that looks once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .views import View, ViewStack, align_views, distances
+
+SAME_PLACE = 0.01
+"""Distance of the boards in two views, as a share of the image diagonal, at which the second still counts by
+its part of 1 - exp(-1/2) = 0.4: lenses and bent boards hardly change over so little."""
+
+
+def share_weight(stack: ViewStack, views: Sequence[View], image_size: tuple[int, int]) -> ViewStack:
+    """Divide the weight of one view among all that show the board in the same place.
+
+    Parameters
+    ----------
+    stack : ViewStack
+        Of `views`.
+    views : sequence of V View
+    image_size : (width, height), pixels
+    """
+    if len(views) == 1:
+        return stack
+    points, scale = align_views(views), SAME_PLACE * np.hypot(*image_size)
+    apart = np.stack([distances(points, i) for i in range(len(views))])
+    alike: NDArray[np.float64] = np.exp(-0.5 * (apart / scale) ** 2)
+    return stack._replace(weights=stack.weights / np.sqrt(alike.sum(axis=1, keepdims=True)))

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scenes import SIZE, views_at
+
+import fewcal
+from fewcal.copies import SAME_PLACE, share_weight
+from fewcal.views import View, stack_views
+
+TILTS = ((40, 30), (35, 120), (30, -60))
+DIAGONAL = float(np.hypot(*SIZE))
+
+
+def noisy(sigma: float | None = None) -> list[View]:
+    """Three different views."""
+    rng = np.random.default_rng(1)
+    return [
+        View(view.object_points, view.image_points + rng.normal(0, 0.2, view.image_points.shape), sigma)
+        for view in views_at(*TILTS)
+    ]
+
+
+def total(views: list[View]) -> NDArray[np.float64]:
+    """Weight of each view, 1 for one by itself."""
+    weights = share_weight(stack_views(views), views, SIZE).weights
+    return np.asarray((weights**2).mean(axis=1))
+
+
+@given(st.lists(st.integers(0, 2), min_size=1, max_size=8), st.sampled_from([None, 0.1]))
+def test_copies_have_the_weight_of_one_view(which: list[int], sigma: float | None) -> None:
+    views = noisy(sigma)
+    weights = total([views[i] for i in which])
+    for i in set(which):
+        assert weights[np.array(which) == i].sum() == pytest.approx(1, abs=0.02)
+
+
+def test_the_nearer_two_views_are_the_less_the_second_counts() -> None:
+    first, *_ = noisy()
+    together = []
+    for shift in (0, 0.5, 1, 2, 5):
+        step = np.array([shift * SAME_PLACE * DIAGONAL, 0])
+        moved = View(first.object_points, first.image_points + step)
+        together.append(total([first, moved]).sum())
+    assert together[0] == pytest.approx(1)
+    assert np.all(np.diff(together) > 0)
+    assert together[2] == pytest.approx(2 / (1 + np.exp(-0.5)))
+    assert together[-1] == pytest.approx(2, abs=1e-5)
+
+
+def test_views_of_different_parts_are_no_copies() -> None:
+    first, *_ = noisy()
+    halves = [
+        View(first.object_points[part], first.image_points[part]) for part in np.split(np.arange(54), 2)
+    ]
+    np.testing.assert_allclose(total(halves), 1)
+
+
+@pytest.mark.parametrize("times", [2, 5])
+def test_copies_leave_camera_and_error_bars_as_they_are(times: int) -> None:
+    once = fewcal.calibrate(noisy(), SIZE)
+    often = fewcal.calibrate(noisy() * times, SIZE)
+    np.testing.assert_allclose(often.camera.intrinsics, once.camera.intrinsics, rtol=1e-6)
+    assert often.std == pytest.approx(once.std, rel=1e-4)
+    assert often.sigma_px == pytest.approx(once.sigma_px, rel=1e-5)
+    np.testing.assert_allclose(often.view_rms[:3], once.view_rms, rtol=1e-4)

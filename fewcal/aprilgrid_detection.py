@@ -26,7 +26,7 @@ BORDER_BITS = 2
 """Kalibr's tags have a black border of two bits, where those of the AprilTag library have one."""
 LINKING = Linking(nearest=32, side=0.06, least_side_px=0.8)
 """A corner has neighbours beyond the corners of the tags around it and those of the bits inside them; the
-step across an edge is seen inside the border, half of one bit off; the edges of the small squares are short."""
+step across an edge is seen inside the border, half a bit off; the edges of the small squares are short."""
 REACH = 1.5
 """Tags are held against their neighbours, across the diagonal too: 1.41 times their pitch."""
 SQUARE = 1.5

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .corner_links import Linking
 from .corner_refinement import Squares
 from .detection import Detection
 from .errors import BoardNotFound
@@ -23,6 +25,10 @@ Array = NDArray[np.float64]
 
 BORDER_BITS = 2
 """Kalibr's tags have a black border of two bits, where those of the AprilTag library have one."""
+LINKING = Linking(nearest=32, side=0.06, least_side_px=0.8, max_step_ratio=math.inf)
+"""A corner has neighbours beyond the corners of the tags around it and those of the bits inside them; the
+step across an edge is seen inside the border, half a bit off; the edges of the small squares are short, how
+much shorter than those of the tags differs from board to board."""
 REACH = 1.5
 """Tags are held against their neighbours, across the diagonal too: 1.41 times their pitch."""
 SQUARE = 1.5
@@ -59,7 +65,7 @@ def aprilgrid_layout(board: AprilGrid) -> Layout:
     numbers[rows, ::2] = np.arange(board.rows * board.columns).reshape(board.rows, board.columns)
     corners = board.points[:, :2].reshape(2 * board.rows, 2 * board.columns, 2)[::-1]
     # OpenCV's tags are upside down.
-    return Layout(numbers, corners, board.dictionary, (BORDER_BITS, 1), turn=2)
+    return Layout(numbers, corners, board.dictionary, LINKING, (BORDER_BITS, 1), turn=2)
 
 
 def _explain(grey: GreyImage, board: AprilGrid, seen: Sighting) -> BoardNotFound | None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .corner_links import Linking
 from .corner_refinement import Squares
 from .detection import Detection
 from .errors import BoardNotFound
@@ -57,7 +58,9 @@ def charuco_layout(board: Charuco) -> Layout:
     numbers[row, column] = np.arange(board.marker_count)
     corners = np.full((board.rows + 1, board.columns + 1, 2), np.nan)
     corners[1:-1, 1:-1] = board.points[:, :2].reshape(board.rows - 1, board.columns - 1, 2)
-    return Layout(numbers, corners, board.dictionary, inset=(1 - board.marker_size / board.square_size) / 2)
+    gap = (1 - board.marker_size / board.square_size) / 2
+    # The step across an edge is seen half way to the marker; the corners of two markers' bits are in between.
+    return Layout(numbers, corners, board.dictionary, Linking(nearest=32, side=gap / 2), inset=gap)
 
 
 def _explain(grey: GreyImage, board: Charuco, seen: Sighting) -> BoardNotFound | None:

@@ -9,7 +9,6 @@ corners are; the others need not be legible.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -37,17 +36,12 @@ from .saddle_points import find_saddle_points
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-LINKING = Linking(nearest=32, side=0.04, least_side_px=0.8, max_step_ratio=math.inf)
-"""A corner of an AprilGrid has neighbours beyond the corners of the tags around it and those of the bits
-inside them; and the step across an edge is seen between the marker and the edge, or inside its border: both
-are an eighth of the square wide, and a third of that where the square is seen steeply from the side. Between
-tags there are gaps of any width."""
 MIN_CORNERS = 4
 """Fewest linked corners that are of interest: one square."""
 MAX_CHAINS = 8
 """Chains of corners that are looked at, those of most corners first; what covers a board parts it in some."""
-MIN_LINKED = 6
-"""Linked corners of squares that are worth a look at a finer copy: those of two squares side by side."""
+MIN_LINKED = 9
+"""Linked corners of squares that are worth a look at a finer copy: those of four squares."""
 SMALL_SQUARE_PX = 8.0
 """Squares smaller than this in one copy are shown better by the next."""
 
@@ -133,26 +127,26 @@ def find_squares(grey: GreyImage, layout: Layout) -> Sighting:
     for factor in reductions(grey):
         if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(chains):
             break
-        chains = list(_find_chains(reduce(grey, factor)))
+        chains = list(_find_chains(reduce(grey, factor), layout.linking))
         seen = _identify(grey, [(chain + 0.5) * factor - 0.5 for chain in chains], layout)
-        best = max(best, seen, key=lambda each: (len(each.squares), len(each.ids), len(each.unread)))
+        best = max(seen, best, key=lambda each: (len(each.squares), len(each.ids), len(each.unread)))
         if len(best.squares) == whole:
             break
     return best
 
 
 def _shows_small_squares(chains: list[Array]) -> bool:
-    """Whether there are some so small that a finer copy may show more; a single one is chance."""
+    """Whether there are some so small that a finer copy may show more; one or two are chance."""
     return any(
         np.isfinite(chain[..., 0]).sum() >= MIN_LINKED and square_size(chain) < SMALL_SQUARE_PX
         for chain in chains
     )
 
 
-def _find_chains(image: GreyImage) -> Iterator[Array]:
+def _find_chains(image: GreyImage, linking: Linking) -> Iterator[Array]:
     """Linked corners (R, C, 2) that enclose squares, NaN for others; x cross y away from the camera."""
     saddles = find_saddle_points(image)
-    for grid, _ in islice(find_chains(image, saddles, LINKING, MIN_CORNERS), MAX_CHAINS):
+    for grid, _ in islice(find_chains(image, saddles, linking, MIN_CORNERS), MAX_CHAINS):
         corners = np.where((grid >= 0)[..., None], saddles.points[grid], np.nan)
         closed = np.pad(np.isfinite(corners_of_squares(corners)).all(axis=(2, 3)), 1)
         enclosing = closed[1:, 1:] | closed[1:, :-1] | closed[:-1, 1:] | closed[:-1, :-1]

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .corner_links import Linking
 from .markers import marker_bits
 
 Array = NDArray[np.float64]
@@ -50,11 +51,14 @@ class Layout:
         squares are of one size.
     turn : int
         Right angles by which the markers are printed turned anticlockwise.
+    linking : Linking
+        What tells that two corners are neighbours.
     """
 
     numbers: Indices
     corners: Array
     dictionary: str
+    linking: Linking
     border_bits: tuple[int, ...] = (1,)
     inset: float = 0.0
     turn: int = 0

@@ -86,7 +86,6 @@ CASES = (
     USUAL,
     *(replace(USUAL, name=f"tilt {tilt} deg", tilt_deg=(tilt, tilt)) for tilt in (0, 20, 40, 60, 70)),
     *(replace(USUAL, name=f"blur {blur} px").under(blur_px=blur) for blur in (0.5, 1.0, 1.5, 2.0)),
-    replace(USUAL, name="blur 4.2 px, squares 15 px", square_px=15.0).under(blur_px=4.2),
     *(replace(USUAL, name=f"noise {noise} levels").under(read_noise=noise) for noise in (1, 4, 8)),
     *(replace(USUAL, name=f"squares {px} px", square_px=px) for px in (8, 12, 20, 60, 120)),
     *(
@@ -101,6 +100,7 @@ CASES = (
     replace(USUAL, name="overexposed, blur, light from a side").under(
         exposure=2.33, blur_px=2.0, light_slope=0.9
     ),
+    replace(USUAL, name="blur 3 px, squares 15 px", square_px=15.0).under(blur_px=3.0),
 )
 SMALL = tuple(case for case in CASES if case.name in ("usual", "blur 2.0 px", "squares 8 px"))
 

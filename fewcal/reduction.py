@@ -10,8 +10,8 @@ COARSEST_PX = 75
 """No reduced copy is smaller than this on its long side: a board across all of it has squares of 8 px at
 least, and a blur that hides the corners of large squares is no more than a pixel wide there."""
 SEARCHED_PX = 1000
-"""Copies up to this size are always searched, larger ones only when there is evidence of a board; on a
-1920x1080 image that is every copy but the full one."""
+"""Copies up to this size are always searched, a larger full image only when there is evidence of a board;
+chessboards are looked for in every smaller copy, circle grids in those up to this size."""
 
 
 def reductions(grey: GreyImage) -> list[int]:

@@ -186,12 +186,17 @@ def _extended(corners: Array, known: NDArray[np.bool_]) -> Array:
 def _identify(grey: GreyImage, found: Sequence[Array], layout: Layout) -> Sighting:
     """Read the markers in chains of corners, and place these on the board."""
     chains = [_chain(corners, layout.inset > 0) for corners in found]
+    seen = [_with_border(grey, chains, border, layout) for border in layout.border_bits]
+    return max(seen, key=lambda each: (len(each.squares), len(each.ids)))
+
+
+def _with_border(grey: GreyImage, chains: list[_Chain], border: int, layout: Layout) -> Sighting:
+    """Do so given how wide the border of the markers is."""
     quads = np.concatenate([np.empty((0, 4, 2)), *(chain.quads for chain in chains)])
-    levels = {border: _levels(grey, quads, border, layout) for border in layout.border_bits}
-    readings = {border: read_markers(levels[border], layout.dictionary) for border in levels}
-    border = max(readings, key=lambda border: int((readings[border][0] >= 0).sum()))
-    ids, turns = readings[border]
-    inner = levels[border][:, border:-border, border:-border]
+    cells = DICTIONARIES[layout.dictionary][0] + 2 * border
+    levels = read_levels(grey, quads, cells, layout.inset)
+    ids, turns = read_markers(levels, layout.dictionary)
+    inner = levels[:, border:-border, border:-border]
     ends = np.cumsum([len(chain.quads) for chain in chains])[:-1]
     parts = [_Part(np.empty((0, 2), np.intp), np.empty((0, 4, 2)), ids[:0], np.empty((0, 2), np.intp), 0)]
     if chains:
@@ -200,10 +205,6 @@ def _identify(grey: GreyImage, found: Sequence[Array], layout: Layout) -> Sighti
     squares, pixels = (np.concatenate(each) for each in list(zip(*parts, strict=True))[:2])
     main = max(parts, key=lambda part: (len(part.ids), part.votes))
     return Sighting(squares, pixels, border, *main[2:], quads[ids < 0])
-
-
-def _levels(grey: GreyImage, quads: Array, border: int, layout: Layout) -> Array:
-    return read_levels(grey, quads, DICTIONARIES[layout.dictionary][0] + 2 * border, layout.inset)
 
 
 def _part(layout: Layout, border: int, chain: _Chain, ids: Indices, turns: Indices, levels: Array) -> _Part:

@@ -52,6 +52,13 @@ MAX_BLURRED_SHARE = 0.75
 the next edges reach into the window of a corner."""
 RESOLVED_PX = MAX_RADIUS_PX / WINDOW_SHARE
 """Squares up to which the window grows with them; in larger ones it shows no wider edges than in these."""
+COARSEST_PX = 75
+"""Long side of the smallest copy: a board across all of it has squares of 8 px at least, and a blur that
+hides the corners of large squares is no more than a pixel wide there."""
+COARSE_FACTOR = 8
+"""Copies reduced by so much or more show a corner too roughly to start from it at full resolution."""
+SADDLE_ERROR_PX = 2.0
+"""A corner is nearer than this to the saddle point that it was found by, in pixels of the copy."""
 LOOKED_AT = 8
 """Rows and columns of it that are tested: enough to tell, and quick on a large board."""
 SAME_START_SHARE = 0.2
@@ -76,12 +83,12 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
     largest = np.empty((0, 0, 2))
     failure: BoardNotFound | None = None
     tried: list[Array] = []
-    for factor in reductions(grey):
+    for factor in reductions(grey, COARSEST_PX):
         if factor == 1 and max(grey.shape) > SEARCHED_PX and not _shows_small_squares(largest):
             break
         reduced = reduce(grey, factor)
         for found in find_grids(reduced, find_saddle_points(reduced)):
-            grid = fill_gaps((found + 0.5) * factor - 0.5)
+            grid = _enlarged(reduced, fill_gaps(found), factor)
             if sorted(grid.shape[:2]) == sorted((board.columns, board.rows)):
                 if any(_is_same_start(grid, other) for other in tried):
                     continue
@@ -98,6 +105,19 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
             if np.mean(squares_meet_in_shadow(grey, corners.points)[added]) > MIN_GOOD_SHARE:
                 return corners
     raise failure or _not_found(grey, largest, board)
+
+
+def _enlarged(reduced: GreyImage, grid: Array, factor: int) -> Array:
+    """Where the corners of a grid found in a reduced copy are in the image.
+
+    They are located in the copy first: a saddle point is off by a part of its pixels, and those of the
+    coarsest copies are larger than the windows in which a corner is located.
+    """
+    if factor >= COARSE_FACTOR:
+        located = refine_corners(reduced, grid, coarse=True)
+        near = located.good & (np.linalg.norm(located.points - grid, axis=2) < SADDLE_ERROR_PX)
+        grid = np.where(near[..., None], located.points, grid)
+    return (grid + 0.5) * factor - 0.5
 
 
 def _is_same_start(grid: Array, other: Array) -> bool:

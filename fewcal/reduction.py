@@ -6,18 +6,24 @@ import cv2
 
 from .grey import GreyImage
 
-COARSEST_PX = 75
-"""No reduced copy is smaller than this on its long side: a board across all of it has squares of 8 px at
-least, and a blur that hides the corners of large squares is no more than a pixel wide there."""
+COARSEST_PX = 300
+"""No reduced copy is smaller than this on its long side: a board across half of it has squares of 15 px."""
 SEARCHED_PX = 1000
 """Copies up to this size are always searched, a larger full image only when there is evidence of a board;
 chessboards are looked for in every smaller copy, circle grids in those up to this size."""
 
 
-def reductions(grey: GreyImage) -> list[int]:
-    """Factors of the reduced copies, coarse to fine, each half the one before."""
+def reductions(grey: GreyImage, coarsest_px: float = COARSEST_PX) -> list[int]:
+    """Factors of the reduced copies, coarse to fine, each half the one before.
+
+    Parameters
+    ----------
+    grey : (H, W) array
+    coarsest_px : float
+        Least length of their long side, pixels.
+    """
     factor = 1
-    while max(grey.shape) / (2 * factor) >= COARSEST_PX and min(grey.shape) >= 4 * factor:
+    while max(grey.shape) / (2 * factor) >= coarsest_px and min(grey.shape) >= 4 * factor:
         factor *= 2
     return [factor >> k for k in range(factor.bit_length())]
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .adjustment import Estimate, Rows
 from .camera import Camera
 from .constraints import PRIOR_ROWS, PriorRows, Priors
-from .copies import share_weight
+from .copies import copies
 from .departures import COUNT
 from .errors import InvalidInput
 from .least_squares import Stop
@@ -168,7 +168,7 @@ def calibrate(
             raise InvalidInput(f"{name} must be fewcal.{kind.__name__}, not {value!r}.")
     stack = stack_views(views)
     if method == "map":
-        found = estimate_map(share_weight(stack, views, size), size, priors)
+        found = estimate_map(stack, size, priors, copies(views, size))
     elif method == "zhu2020":
         found = estimate_zhu2020(stack, size)
     elif method == "zhang":

@@ -19,19 +19,26 @@ SAME_PLACE = 0.01
 its part of 1 - exp(-1/2) = 0.4: lenses and bent boards hardly change over so little."""
 
 
-def share_weight(stack: ViewStack, views: Sequence[View], image_size: tuple[int, int]) -> ViewStack:
-    """Divide the weight of one view among all that show the board in the same place.
+def copies(views: Sequence[View], image_size: tuple[int, int]) -> NDArray[np.float64]:
+    """How many views show the board where each does, itself among them, those nearby counting in part.
 
     Parameters
     ----------
-    stack : ViewStack
-        Of `views`.
     views : sequence of V View
     image_size : (width, height), pixels
+
+    Returns
+    -------
+    (V,)
     """
     if len(views) == 1:
-        return stack
+        return np.ones(1)
     points, scale = align_views(views), SAME_PLACE * np.hypot(*image_size)
     apart = np.stack([distances(points, i) for i in range(len(views))])
     alike: NDArray[np.float64] = np.exp(-0.5 * (apart / scale) ** 2)
-    return stack._replace(weights=stack.weights / np.sqrt(alike.sum(axis=1, keepdims=True)))
+    return np.asarray(alike.sum(axis=1))
+
+
+def share_weight(stack: ViewStack, count: NDArray[np.float64]) -> ViewStack:
+    """Divide the weight of one view among its copies, of which there are `count` (V,)."""
+    return stack._replace(weights=stack.weights / np.sqrt(count)[:, None])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .adjustment import Adjustment, Estimate, Geometry
 from .closed_form import simplified_intrinsics
 from .constraints import Priors
+from .copies import share_weight
 from .departures import COUNT, Departures
 from .errors import DegenerateViews
 from .homography import homographies
@@ -65,7 +66,9 @@ _FINE = Tolerances(decrease=3e-7, relative=0.0, iterations=1500, damping=1e-6, f
 """Exact points at a small angle leave a long, narrow valley; views that a camera saw take a few steps."""
 
 
-def estimate_map(views: ViewStack, image_size: tuple[int, int], priors: Priors) -> Estimate:
+def estimate_map(
+    views: ViewStack, image_size: tuple[int, int], priors: Priors, count: Array | None = None
+) -> Estimate:
     """Find the camera and poses of highest posterior probability.
 
     Parameters
@@ -73,15 +76,21 @@ def estimate_map(views: ViewStack, image_size: tuple[int, int], priors: Priors) 
     views : ViewStack
     image_size : (width, height), pixels
     priors : Priors
+    count : (V,), optional
+        Views that show the board where each does, see :func:`fewcal.copies.copies`.
 
     Raises
     ------
     DegenerateViews
         When no start leads to a camera with the board in front of it.
     """
-    found = _estimate(views, ScaleFree(image_size), priors)
+    shared = views if count is None else share_weight(views, count)
+    found = _estimate(shared, ScaleFree(image_size), priors)
     if found.lowest_scatter < COMPUTED_PX:
-        # Points this exact were computed, perhaps with the paper's camera, whose distortion acts on pixels.
+        # Points this exact were computed: they have no errors to repeat, however alike the views are.
+        if np.any(shared.weights != views.weights):
+            found = _estimate(views, ScaleFree(image_size), priors)
+        # Perhaps they were computed with the paper's camera, whose distortion acts on pixels.
         in_pixels = _estimate(views, ScaleFree(image_size, in_pixels=True), priors)
         if in_pixels.objective < found.objective:
             return in_pixels.estimate

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scenes import SIZE, views_at
 
 import fewcal
-from fewcal.copies import SAME_PLACE, share_weight
+from fewcal.copies import SAME_PLACE, copies, share_weight
 from fewcal.views import View, stack_views
+from fewcal.virtual_camera import PAPER_CAMERA, paper_trial
 
 TILTS = ((40, 30), (35, 120), (30, -60))
 DIAGONAL = float(np.hypot(*SIZE))
@@ -26,7 +27,7 @@ def noisy(sigma: float | None = None) -> list[View]:
 
 def total(views: list[View]) -> NDArray[np.float64]:
     """Weight of each view, 1 for one by itself."""
-    weights = share_weight(stack_views(views), views, SIZE).weights
+    weights = share_weight(stack_views(views), copies(views, SIZE)).weights
     return np.asarray((weights**2).mean(axis=1))
 
 
@@ -67,3 +68,11 @@ def test_copies_leave_camera_and_error_bars_as_they_are(times: int) -> None:
     assert often.std == pytest.approx(once.std, rel=1e-4)
     assert often.sigma_px == pytest.approx(once.sigma_px, rel=1e-5)
     np.testing.assert_allclose(often.view_rms[:3], once.view_rms, rtol=1e-4)
+
+
+def test_computed_views_are_no_copies_however_alike_they_are() -> None:
+    trial = paper_trial(20, 1.2, views=2)
+    shift = np.linalg.norm(trial.views[0].image_points - trial.views[1].image_points, axis=1).max()
+    assert shift < SAME_PLACE * np.hypot(*PAPER_CAMERA.image_size)
+    found = fewcal.calibrate(trial.views, PAPER_CAMERA.image_size)
+    assert found.camera.fx == pytest.approx(PAPER_CAMERA.fx, rel=1e-6)

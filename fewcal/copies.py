@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from .views import View, ViewStack, align_views, distances
 
-SAME_PLACE = 0.01
+SAME_PLACE = 0.002
 """Distance of the boards in two views, as a share of the image diagonal, at which the second still counts by
-its part of 1 - exp(-1/2) = 0.4: lenses and bent boards hardly change over so little."""
+its part of 1 - exp(-1/2) = 0.4: a board that nobody has moved stays within, one tilted anew does not."""
 
 
 def copies(views: Sequence[View], image_size: tuple[int, int]) -> NDArray[np.float64]:

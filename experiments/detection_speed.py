@@ -15,11 +15,15 @@ by N more.
 from __future__ import annotations
 
 import argparse
+import os
 import resource
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+
+# One thread of linear algebra, as the commands have it: the matrices are small. OpenCV keeps all of its own.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
 import numpy as np

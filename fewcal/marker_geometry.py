@@ -15,6 +15,8 @@ bulges through a fisheye stays at half of it, and a marker one square off is at 
 NEIGHBOURS = 16
 """Known points about a point that say where it is: the corners of four markers, or of two and the corners of
 the squares about them."""
+FLAT = 1e-9
+"""Sine of an angle below which three corners are on one line."""
 
 
 def largest_board(plane: Array, pixels: Array, reach: float) -> NDArray[np.bool_]:
@@ -41,7 +43,7 @@ def largest_board(plane: Array, pixels: Array, reach: float) -> NDArray[np.bool_
     count = len(plane)
     if count == 0:
         return np.zeros(0, dtype=bool)
-    H = _homographies(plane, pixels)
+    H = _square_to(pixels) @ np.linalg.inv(_square_to(plane))
     centre, shown = plane.mean(axis=1), pixels.mean(axis=1)
     first, second = np.nonzero(np.linalg.norm(centre[:, None] - centre, axis=2) < reach)
     expected = _map(H[first], centre[second])
@@ -76,7 +78,7 @@ def local_frames(plane: Array, pixels: Array, weights: Array, wanted: Array) -> 
 
     nearest = cKDTree(plane).query(wanted, k=min(NEIGHBOURS, len(plane)))
     distance, near = np.asarray(nearest[0]), np.asarray(nearest[1])
-    frames = _homographies(plane[near], pixels[near], weights[near])
+    frames = homographies(np.swapaxes(plane[near], 1, 2), np.swapaxes(pixels[near], 1, 2), weights[near])
     frames[..., 2] += (frames[..., :2] @ wanted[..., None])[..., 0]
     return frames / frames[:, 2:, 2:], distance[:, 0]
 
@@ -95,19 +97,32 @@ def map_grid(quads: Array, shares: Array) -> Array:
     -------
     (K, S, S, 2) pixels: along the last but one axis from the first corner to the second.
     """
-    unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    H = _homographies(np.broadcast_to(unit, quads.shape), quads)
-    y, x = np.meshgrid(shares, shares, indexing="ij")
-    mapped = H @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    H = _square_to(quads)
+    v, u = np.meshgrid(shares, shares, indexing="ij")
+    mapped = H @ np.stack([u.ravel(), v.ravel(), np.ones(u.size)])
     points = np.swapaxes(mapped[:, :2] / mapped[:, 2:], 1, 2)
-    return np.asarray(points.reshape(len(quads), *x.shape, 2))
+    return np.asarray(points.reshape(len(quads), *u.shape, 2))
 
 
-def _homographies(plane: Array, pixels: Array, weights: Array | None = None) -> Array:
-    """Homographies (B, 3, 3) of sets of points (B, K, 2) with weights (B, K)."""
-    if weights is None:
-        weights = np.ones(plane.shape[:2])
-    return homographies(np.swapaxes(plane, 1, 2), np.swapaxes(pixels, 1, 2), weights)
+def _square_to(quads: Array) -> Array:
+    """Homographies (K, 3, 3) from the unit square to quadrangles (K, 4, 2).
+
+    Heckbert (1989), "Fundamentals of texture mapping and image warping", section 2.2.3.
+    """
+    first, second, third, fourth = np.moveaxis(quads, 1, 0)
+    sides = np.stack([second - third, fourth - third], axis=-1)
+    flat = np.abs(np.linalg.det(sides)) <= FLAT * np.linalg.norm(sides, axis=1).prod(axis=1)
+    sides[flat] = np.eye(2)  # nobody can see anything there
+    vanishing = np.linalg.solve(sides, (first - second + third - fourth)[..., None])
+    x, y = vanishing[:, 0], vanishing[:, 1]
+    return np.stack(
+        [
+            np.column_stack([second - first + x * second, x]),
+            np.column_stack([fourth - first + y * fourth, y]),
+            np.column_stack([first, np.ones(len(quads))]),
+        ],
+        axis=-1,
+    )
 
 
 def _map(H: Array, points: Array) -> Array:

@@ -54,3 +54,10 @@ def test_a_grid_is_mapped_into_quadrangles() -> None:
     points = map_grid(shown(MARKERS), np.array([0.0, 0.5, 1.0]))
     np.testing.assert_allclose(points[:, [0, 0, 2, 2], [0, 2, 2, 0]], shown(MARKERS), atol=1e-6)
     np.testing.assert_allclose(points[:, 1, 1], shown(MARKERS.mean(axis=1)), atol=1e-6)
+
+
+def test_a_quadrangle_seen_edge_on_shows_nothing_and_harms_nothing() -> None:
+    line = np.array([[10.0, 10], [20, 10], [30, 10], [15, 10]])
+    both = map_grid(np.stack([line, shown(MARKERS)[0]]), np.array([0.0, 1.0]))
+    assert np.isfinite(both).all()
+    np.testing.assert_allclose(both[1, [0, 0, 1, 1], [0, 1, 1, 0]], shown(MARKERS)[0], atol=1e-6)

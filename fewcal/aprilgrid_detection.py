@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,6 +59,7 @@ def detect_aprilgrid(
     )
 
 
+@lru_cache(maxsize=4)
 def aprilgrid_layout(board: AprilGrid) -> Layout:
     """Tags, small squares and gaps, row by row from the top."""
     numbers = np.full((2 * board.rows - 1, 2 * board.columns - 1), -1)

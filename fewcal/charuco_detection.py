@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,6 +52,7 @@ def detect_charuco(
     )
 
 
+@lru_cache(maxsize=4)
 def charuco_layout(board: Charuco) -> Layout:
     """Squares, and a marker in each white one; at the rim no squares meet."""
     numbers = np.full((board.rows, board.columns), -1)

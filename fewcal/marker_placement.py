@@ -8,6 +8,7 @@ together still look like one part of the board and like no other.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import product
 from typing import NamedTuple
 
@@ -63,7 +64,7 @@ class Layout:
     inset: float = 0.0
     turn: int = 0
 
-    @property
+    @cached_property
     def quads(self) -> Array:
         """(R, C, 4, 2) corners of each square, metres."""
         return corners_of_squares(self.corners)
@@ -144,9 +145,11 @@ def place_by_likeness(cells: Indices, levels: Array, border_bits: int, layout: L
     The most likely placement, all its markers voting for it; without votes when it is not likely enough.
     """
     best, most = Placement(), MIN_LIKENESS
+    if len(cells) < MIN_COMPARED:
+        return best
     spread = levels.std(axis=(1, 2), keepdims=True)
     levels = (levels - levels.mean(axis=(1, 2), keepdims=True)) / np.maximum(spread, 1e-9)
-    looks = _blurred(layout, border_bits)
+    looks = _blurred(layout.dictionary, int(layout.numbers.max()) + 1, layout.turn, border_bits)
     for turn in range(4):
         place = turned(cells, turn)
         place, first = place - place.min(axis=0), place.min(axis=0)
@@ -164,10 +167,10 @@ def place_by_likeness(cells: Indices, levels: Array, border_bits: int, layout: L
     return best
 
 
-def _blurred(layout: Layout, border_bits: int) -> NDArray[np.float32]:
+@lru_cache(maxsize=4)
+def _blurred(dictionary: str, count: int, turn: int, border_bits: int) -> NDArray[np.float32]:
     """(M, n, n) markers as they are printed, blurred, by number."""
-    bits = marker_bits(layout.dictionary, np.arange(layout.numbers.max() + 1))
-    printed = np.rot90(bits, layout.turn, axes=(1, 2)).astype(np.float32)
+    printed = np.rot90(marker_bits(dictionary, np.arange(count)), turn, axes=(1, 2)).astype(np.float32)
     padded = np.pad(printed, ((0, 0), (border_bits, border_bits), (border_bits, border_bits)))
     inner = slice(border_bits, -border_bits)
     return np.stack([cv2.sepFilter2D(each, -1, BLUR, BLUR)[inner, inner] for each in padded])

@@ -83,7 +83,10 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
     largest = np.empty((0, 0, 2))
     failure: BoardNotFound | None = None
     tried: list[Array] = []
-    for factor in reductions(grey, COARSEST_PX):
+    usual = reductions(grey)
+    coarser = [factor for factor in reductions(grey, COARSEST_PX) if factor > usual[0]]
+    # Most boards are found, and well enough to start from, in the usual copies; the full image comes last.
+    for factor in [*usual[:-1], *reversed(coarser), 1]:
         if factor == 1 and max(grey.shape) > SEARCHED_PX and not _shows_small_squares(largest):
             break
         reduced = reduce(grey, factor)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from .grid import local_axes
 from .saddle_points import Image
-from .window_fit import FAR, NEAR, Pixels, Windows, cut_windows, fit_windows, thinned
+from .window_fit import FAR, NEAR, Pixels, Windows, blurred_step, cut_windows, fit_windows, thinned
 
 Array = NDArray[np.float64]
 Edge = tuple[Pixels, Pixels]
@@ -296,11 +296,10 @@ def _step(
     side: Pixels | np.float32, distance: Pixels, blur: Pixels, gap: Pixels
 ) -> tuple[Pixels, Pixels, Pixels]:
     """Phi((side d - g) / s), and its derivatives by d and by s."""
-    from scipy.special import ndtr
-
     t = (side * distance - gap) / blur
-    slope = np.exp(-0.5 * t * t) / (blur * np.float32(math.sqrt(2 * math.pi)))
-    return ndtr(t), side * slope, -slope * t
+    E, by_t = blurred_step(t)
+    slope = by_t / (2 * blur)
+    return 0.5 * (1 + E), side * slope, -slope * t
 
 
 def _gaps(p: Array, frames: Array, share: float) -> Pixels:
@@ -325,10 +324,7 @@ def _edge(
     dx: Pixels, dy: Pixels, angle: Pixels, blur: Pixels
 ) -> tuple[Pixels, Pixels, Pixels, Pixels, Pixels, Pixels]:
     """E and dE / d distance of one edge, position along it, distance in blurs, cos and sin of its angle."""
-    # Imported here, since it takes longer than all of fewcal, and who has points already needs none of it.
-    from scipy.special import erf
-
     cos, sin = np.cos(angle), np.sin(angle)
     t = (dy * cos - dx * sin) / blur
-    slope = np.exp(-0.5 * t * t) * (math.sqrt(2 / math.pi) / blur)
-    return erf(t * math.sqrt(0.5)), slope, dx * cos + dy * sin, t, cos, sin
+    E, by_t = blurred_step(t)
+    return E, by_t / blur, dx * cos + dy * sin, t, cos, sin

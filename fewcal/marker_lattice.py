@@ -121,7 +121,6 @@ def find_squares(grey: GreyImage, layout: Layout) -> Sighting:
     grey : (H, W) array of uint8 or uint16
     layout : Layout
     """
-    whole = int(np.isfinite(layout.quads).all(axis=(2, 3)).sum())
     chains: list[Array] = []
     best = _identify(grey, [], layout)
     for factor in reductions(grey):
@@ -130,7 +129,7 @@ def find_squares(grey: GreyImage, layout: Layout) -> Sighting:
         chains = list(_find_chains(reduce(grey, factor), layout.linking))
         seen = _identify(grey, [(chain + 0.5) * factor - 0.5 for chain in chains], layout)
         best = max(seen, best, key=lambda each: (len(each.squares), len(each.ids), len(each.unread)))
-        if len(best.squares) == whole:
+        if len(best.squares) == layout.whole:
             break
     return best
 
@@ -186,7 +185,11 @@ def _extended(corners: Array, known: NDArray[np.bool_]) -> Array:
 def _identify(grey: GreyImage, found: Sequence[Array], layout: Layout) -> Sighting:
     """Read the markers in chains of corners, and place these on the board."""
     chains = [_chain(corners, layout.inset > 0) for corners in found]
-    seen = [_with_border(grey, chains, border, layout) for border in layout.border_bits]
+    seen: list[Sighting] = []
+    for border in layout.border_bits:
+        seen.append(_with_border(grey, chains, border, layout))
+        if len(seen[-1].squares) == layout.whole:
+            break
     return max(seen, key=lambda each: (len(each.squares), len(each.ids)))
 
 

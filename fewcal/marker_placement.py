@@ -69,6 +69,11 @@ class Layout:
         """(R, C, 4, 2) corners of each square, metres."""
         return corners_of_squares(self.corners)
 
+    @cached_property
+    def whole(self) -> int:
+        """How many of the squares have four corners."""
+        return int(np.isfinite(self.quads).all(axis=(2, 3)).sum())
+
 
 class Placement(NamedTuple):
     """How squares lie on a board: turned clockwise by right angles, then moved by columns and rows.

@@ -29,7 +29,22 @@ QUANTISATION = 1 / 12
 """Variance of rounding to whole grey levels: no image has less noise."""
 GOLDEN = 0.382
 """Shift of a row against the one before that spreads pixels evenly, whatever share of them is taken."""
-_TAIL = (0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429)
+_STEP = (
+    0.797884575,
+    0.0363355029,
+    -3.67832325e-5,
+    -5.23155428e-5,
+    2.90418183e-6,
+    7.29685414e-8,
+    -2.09556661e-8,
+    1.45808726e-9,
+    -5.33053734e-11,
+    1.03028665e-12,
+    -8.23688737e-15,
+)
+"""Coefficients of p in :func:`blurred_step`, those of which the derivative is off least, by 1.5e-8."""
+_STEP_END = 6.0
+"""From here on E is 1."""
 FAR, NEAR = 1e-3, 1e-6
 """Damping where the start is rough, and where it is about as good as the fit."""
 _ITERATIONS = 14
@@ -80,17 +95,17 @@ class WindowFit(NamedTuple):
 def blurred_step(t: Pixels) -> tuple[Pixels, Pixels]:
     """E = erf(t / sqrt 2), an edge between -1 and 1 blurred by a sd of 1, and its derivative.
 
-    To 6e-7, four times as fast as SciPy's (Abramowitz and Stegun, "Handbook of mathematical functions",
-    1964, 26.2.17).
+    E is tanh(t p(t^2)) with a polynomial p, to 6e-9 but for rounding, six times as fast as SciPy's.
     """
-    distance = np.abs(t)
-    k = 1 / (1 + np.float32(0.2316419) * distance)
-    slope = np.exp(-0.5 * t * t) * np.float32(math.sqrt(2 / math.pi))
-    tail = k * np.float32(_TAIL[-1])
-    for coefficient in _TAIL[-2::-1]:
-        tail += np.float32(coefficient)
-        tail *= k
-    return np.copysign(1 - slope * tail, t), slope
+    near = np.minimum(np.maximum(t, -_STEP_END), _STEP_END)
+    squared = near * near
+    step = squared * _STEP[-1]
+    for coefficient in _STEP[-2:0:-1]:
+        step += coefficient
+        step *= squared
+    step += _STEP[0]
+    step *= near
+    return np.tanh(step, out=step), np.exp(-0.5 * t * t) * math.sqrt(2 / math.pi)
 
 
 def cut_windows(image: NDArray[np.generic], middles: Array, radius: int, every: int = 1) -> Windows:

@@ -57,7 +57,7 @@ class Detection:
 
 def prepare() -> None:
     """Import at once what the first detection would import, for programs that somebody waits for."""
-    for module in ("scipy.sparse.csgraph", "scipy.spatial", "scipy.special"):
+    for module in ("scipy.sparse.csgraph", "scipy.spatial"):
         importlib.import_module(module)
 
 

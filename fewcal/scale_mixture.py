@@ -15,8 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .least_squares import diagonal
-
 Array = NDArray[np.float64]
 
 POINTS = 128
@@ -82,19 +80,17 @@ def moments(J: Array, r: Array, tails: Tails) -> Moments:
     # In e = T step + y, where the reference is a unit normal, all other precisions are well-conditioned too.
     W = tails.by_unknowns @ inverse
     z = tails.z - W @ y
-    more = (precisions - expected)[:, tails.group]
+    more = (precisions - expected)[:, tails.group].T  # (K, M)
     outer = (W[:, :, None] * W[:, None, :]).reshape(len(W), -1)
-    information = (more @ outer).reshape(-1, *T.shape) + np.eye(len(T))
-    covariance = np.linalg.inv(information)
-    gradient = (more * z) @ W
-    e = -(covariance @ gradient[..., None])[..., 0]
-    # Of positive definite matrices: a Cholesky decomposition is half the work of the LU one.
-    log_determinant = 2 * np.log(diagonal(np.asarray(np.linalg.cholesky(information)))).sum(axis=1)
-    log_weight = log_weight - 0.5 * (log_determinant + (e * gradient).sum(axis=1) + more @ z**2)
+    information = (outer.T @ more).reshape(*T.shape, -1) + np.eye(len(T))[..., None]
+    covariance, log_determinant = _inverted(information)
+    gradient = W.T @ (more * z[:, None])
+    e = -(covariance * gradient).sum(axis=1)
+    log_weight = log_weight - 0.5 * (log_determinant + (e * gradient).sum(axis=0) + z**2 @ more)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
-    off = e - y
-    second = (weight @ covariance.reshape(POINTS, -1)).reshape(T.shape) + (weight[:, None] * off).T @ off
+    off = e - y[:, None]
+    second = covariance @ weight + (weight * off) @ off.T
     return Moments(inverse @ second @ inverse.T, (weight @ precisions)[tails.group])
 
 
@@ -114,16 +110,34 @@ def _proposals(nu: Array, counts: Array, squares: Array) -> tuple[Array, Array, 
     return precisions, expected, np.log(drawn) @ (counts / 4) + drawn @ (squares / 4)
 
 
+def _inverted(matrices: Array) -> tuple[Array, Array]:
+    """Invert positive definite matrices (S, S, M) in place; also the logarithms (M,) of their determinants.
+
+    By Gauss and Jordan, all matrices at once: a library call for each would take three times as long.
+    """
+    log_determinant = np.zeros(matrices.shape[2])
+    for k in range(len(matrices)):
+        factor = matrices[:, k].copy()
+        pivot = factor[k].copy()
+        log_determinant += np.log(pivot)
+        matrices[:, k] = factor[k] = 0
+        matrices[k, k] = 1
+        matrices[k] /= pivot
+        matrices -= factor[:, None] * matrices[k]
+    return matrices, log_determinant
+
+
 def _reference(J: Array, r: Array) -> tuple[Array, Array, Array]:
     """Triangle T (S, S) of J = Q T, its inverse, and Q'r; an infinite inverse where T is singular."""
     size = J.shape[1]
     length = np.linalg.norm(J, axis=0)
     held = bool(np.all(length > 0)) and len(J) >= size
     length = np.where(length > 0, length, 1)
-    Q, T = np.linalg.qr(J / length)
+    triangle = np.linalg.qr(np.column_stack([J / length, r]), mode="r")
+    T, y = triangle[:size, :size], triangle[:size, size]
     held = held and bool(np.abs(np.diagonal(T)).min() > np.finfo(float).eps * len(J))
     inverse = np.linalg.inv(T) / length[:, None] if held else np.full((size, size), np.inf)
-    return T * length, inverse, Q.T @ r
+    return T * length, inverse, y
 
 
 @lru_cache(maxsize=16)

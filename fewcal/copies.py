@@ -36,7 +36,7 @@ def copies(views: Sequence[View], image_size: tuple[int, int]) -> NDArray[np.flo
     points, scale = align_views(views), SAME_PLACE * np.hypot(*image_size)
     apart = np.stack([distances(points, i) for i in range(len(views))])
     alike: NDArray[np.float64] = np.exp(-0.5 * (apart / scale) ** 2)
-    return np.asarray(alike.sum(axis=1))
+    return np.asarray(np.maximum(alike.sum(axis=1), 1))  # a view without points is nowhere
 
 
 def share_weight(stack: ViewStack, count: NDArray[np.float64]) -> ViewStack:

@@ -133,7 +133,7 @@ def _reference(J: Array, r: Array) -> tuple[Array, Array, Array]:
     length = np.linalg.norm(J, axis=0)
     held = bool(np.all(length > 0)) and len(J) >= size
     length = np.where(length > 0, length, 1)
-    triangle = np.linalg.qr(np.column_stack([J / length, r]), mode="r")
+    triangle = np.asarray(np.linalg.qr(np.column_stack([J / length, r]), mode="r"))
     T, y = triangle[:size, :size], triangle[:size, size]
     held = held and bool(np.abs(np.diagonal(T)).min() > np.finfo(float).eps * len(J))
     inverse = np.linalg.inv(T) / length[:, None] if held else np.full((size, size), np.inf)

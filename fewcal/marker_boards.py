@@ -151,15 +151,14 @@ def _refine_once(
     grey: GreyImage, grid: CornerGrid, plane: Array, pixels: Array, weights: Array, coarse: bool = False
 ) -> tuple[RefinedCorners, Array]:
     shape = grid.points.shape[:2]
-    frames, distance = local_frames(plane, pixels, weights, grid.points.reshape(-1, 2))
+    frames = local_frames(plane, pixels, weights, grid.points.reshape(-1, 2), MAX_DISTANCE * grid.reach)
     expected = frames[:, :2, 2].reshape(*shape, 2).copy()
     frames[:, :2] -= frames[:, :2, 2:] * frames[:, 2:]  # pixels from the corner ...
     frames[..., :2] *= grid.square  # ... of squares from it
     frames = frames.reshape(*shape, 3, 3)
     square_px = np.linalg.norm(frames[..., :2, :2], axis=-2).min(axis=-1)
     last = np.array(grey.shape[::-1]) - 1
-    inside = np.all((expected >= 0) & (expected <= last), axis=-1)
-    wanted = inside & (distance.reshape(shape) < MAX_DISTANCE * grid.reach)
+    wanted = np.all((expected >= 0) & (expected <= last), axis=-1)
     corners = refine_corners(
         grey, np.where(wanted[..., None], expected, np.nan), frames, grid.squares, coarse
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,7 +57,9 @@ def largest_board(plane: Array, pixels: Array, reach: float) -> NDArray[np.bool_
     return np.asarray(label == np.bincount(label).argmax())
 
 
-def local_frames(plane: Array, pixels: Array, weights: Array, wanted: Array) -> tuple[Array, Array]:
+def local_frames(
+    plane: Array, pixels: Array, weights: Array, wanted: Array, within: float = math.inf
+) -> Array:
     """Say how the surroundings of points of a plane show in an image, each from the nearest points known.
 
     Parameters
@@ -66,21 +70,24 @@ def local_frames(plane: Array, pixels: Array, weights: Array, wanted: Array) -> 
         What they are worth: inverse to their sd.
     wanted : (W, 2)
         Points on the plane.
+    within : float
+        Those farther from the nearest known point are left out: what is known may lie in one line for them.
 
     Returns
     -------
-    frames : (W, 3, 3)
-        Homographies to pixels, from coordinates on the plane that have their origin at the point.
-    distance : (W,)
-        From each point to the nearest known one, on the plane.
+    (W, 3, 3) homographies to pixels, from coordinates on the plane that have their origin at the point; NaN
+    for points left out.
     """
     from scipy.spatial import cKDTree
 
     nearest = cKDTree(plane).query(wanted, k=min(NEIGHBOURS, len(plane)))
-    distance, near = np.asarray(nearest[0]), np.asarray(nearest[1])
-    frames = homographies(np.swapaxes(plane[near], 1, 2), np.swapaxes(pixels[near], 1, 2), weights[near])
-    frames[..., 2] += (frames[..., :2] @ wanted[..., None])[..., 0]
-    return frames / frames[:, 2:, 2:], distance[:, 0]
+    reached = np.asarray(nearest[0])[:, 0] < within
+    near = np.asarray(nearest[1])[reached]
+    H = homographies(np.swapaxes(plane[near], 1, 2), np.swapaxes(pixels[near], 1, 2), weights[near])
+    H[..., 2] += (H[..., :2] @ wanted[reached][..., None])[..., 0]
+    frames = np.full((len(wanted), 3, 3), np.nan)
+    frames[reached] = H / H[:, 2:, 2:]
+    return frames
 
 
 def map_grid(quads: Array, shares: Array) -> Array:

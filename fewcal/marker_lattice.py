@@ -176,7 +176,7 @@ def _extended(corners: Array, known: NDArray[np.bool_]) -> Array:
     )
     place = np.stack(np.nonzero(known), axis=1)[:, ::-1].astype(float)
     wanted = np.stack(np.nonzero(beside), axis=1)[:, ::-1].astype(float)
-    frames, _ = local_frames(place, corners[known], np.ones(len(place)), wanted)
+    frames = local_frames(place, corners[known], np.ones(len(place)), wanted)
     extended = corners.copy()
     extended[beside] = frames[:, :2, 2]
     return extended

@@ -107,6 +107,22 @@ def test_a_part_of_the_board_is_enough(shift: tuple[float, float]) -> None:
     assert np.abs(errors(GRID, found, true)).max() < 0.08
 
 
+@pytest.mark.parametrize("across", [False, True])
+def test_one_line_of_tags_is_enough(across: bool) -> None:
+    board = replace(GRID, columns=6, rows=6)
+    image, true = picture(board, 45, 0)
+    margin = 6
+    if across:  # the upper row, with so many pixels below it
+        end = int(true.reshape(12, 12, 2)[10, 0, 1]) + 1 + margin
+        image = np.ascontiguousarray(image[:end])
+    else:
+        begin = int(true.reshape(12, 12, 2)[0, 10, 0]) - margin
+        image, true = np.ascontiguousarray(image[:, begin:]), true - [begin, 0]
+    found = board.detect(image)
+    assert len(found.view) == 24
+    assert np.abs(errors(board, found, true)).max() < 0.1
+
+
 @pytest.mark.parametrize("tag_px", [40, 80])
 @pytest.mark.parametrize(("noise", "blur"), [(2.0, 0.7), (6.0, 1.0)])
 def test_sigma_is_the_size_of_the_error(noise: float, blur: float, tag_px: float) -> None:

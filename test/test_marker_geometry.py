@@ -42,12 +42,19 @@ def test_no_marker_is_no_board() -> None:
 def test_frames_are_those_of_the_plane() -> None:
     plane = MARKERS.reshape(-1, 2)
     wanted = CHARUCO.points[:, :2]
-    frames, distance = local_frames(plane, shown(plane), np.ones(len(plane)), wanted)
+    frames = local_frames(plane, shown(plane), np.ones(len(plane)), wanted)
     np.testing.assert_allclose(frames[:, :2, 2], shown(wanted), atol=1e-6)
-    np.testing.assert_allclose(distance, 0.005 * np.sqrt(2))
     step = np.array([0.013, -0.008])
     moved = frames @ np.append(step, 1.0)
     np.testing.assert_allclose(moved[:, :2] / moved[:, 2:], shown(wanted + step), atol=1e-6)
+
+
+def test_what_is_far_from_all_that_is_known_has_no_frame() -> None:
+    row = MARKERS[:3].reshape(-1, 2)
+    wanted = np.array([[0.1, 0.04], [0.1, 5.0]])  # all that is nearest to the second lies in one line
+    frames = local_frames(row, shown(row), np.ones(len(row)), wanted, within=0.1)
+    np.testing.assert_allclose(frames[0, :2, 2], shown(wanted[:1])[0], atol=1e-6)
+    assert np.isnan(frames[1]).all()
 
 
 def test_a_grid_is_mapped_into_quadrangles() -> None:

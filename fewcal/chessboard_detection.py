@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -189,7 +190,7 @@ def _not_found(grey: GreyImage, grid: Array, board: Chessboard) -> BoardNotFound
 
 def _passing(grey: GreyImage, corners: RefinedCorners) -> float:
     """Share of the corners that stand the tests of a board, which texture and code do not."""
-    residuals, allowed = planar_residuals(corners, grey.shape)
+    residuals, allowed, _ = planar_residuals(corners, grey.shape)
     return float(np.mean(corners.good & (np.linalg.norm(residuals, axis=2) < allowed)))
 
 
@@ -217,7 +218,7 @@ def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
     """Corners at full resolution; those that fail are looked for again where the others put them."""
     corners = refine_corners(grey, grid)
     for attempt in range(_ATTEMPTS):
-        residuals, allowed = planar_residuals(corners, grey.shape)
+        residuals, allowed, outlying = planar_residuals(corners, grey.shape)
         misplaced = np.linalg.norm(residuals, axis=2) > allowed
         bad = misplaced | ~corners.good
         if not bad.any() or attempt + 1 == _ATTEMPTS:
@@ -243,7 +244,7 @@ def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:
             f"{int(misplaced.sum())} of the {bad.size} corners are not where a flat board would show them; "
             "hold the board flat and free of reflections.",
         )
-    return corners
+    return replace(corners, sigma=np.hypot(corners.sigma, outlying))
 
 
 def _in_order(grey: GreyImage, corners: RefinedCorners, board: Chessboard) -> tuple[Array, Array]:

@@ -172,14 +172,16 @@ def _locate(grey: GreyImage, grid: _Grid, plane: Array) -> Ellipses:
     for _ in range(_ATTEMPTS):
         ellipses = _refine(grey, grid)
         spacing = 2 * grid.reach * grid.radii[:, 0]
-        residuals, allowed = plane_residuals(plane, ellipses.points, spacing, ellipses.sigma, grey.shape)
+        residuals, allowed, outlying = plane_residuals(
+            plane, ellipses.points, spacing, ellipses.sigma, grey.shape
+        )
         misplaced = np.linalg.norm(residuals, axis=1) > allowed
         bad = misplaced | ~ellipses.good
         if not bad.any():
             break
         grid = _Grid(np.where(bad[:, None], ellipses.points - residuals, ellipses.points), grid.covariances)
     _check(grey, grid, ellipses, misplaced)
-    return ellipses
+    return replace(ellipses, covered=np.hypot(ellipses.covered, outlying))
 
 
 def _check(grey: GreyImage, grid: _Grid, ellipses: Ellipses, misplaced: NDArray[np.bool_]) -> None:

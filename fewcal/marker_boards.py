@@ -101,7 +101,7 @@ def locate_board(
     seen = corners.good
     _check_enough(seen)
     width, square = edge_width(corners.blur[seen]), float(np.median(square_px[seen]))
-    residuals, allowed = plane_residuals(
+    residuals, allowed, outlying = plane_residuals(
         grid.points[seen], corners.points[seen], square_px[seen], corners.sigma[seen], grey.shape
     )
     sound = np.linalg.norm(residuals, axis=1) <= allowed
@@ -111,10 +111,11 @@ def locate_board(
             f"{int((~sound).sum())} of the {len(sound)} corners are not where a flat board would show them; "
             "hold the board flat and free of reflections.",
         )
+    sigma = np.hypot(corners.sigma[seen], outlying)[sound]
     seen[seen] = sound
     _check_enough(seen)
     object_points = np.column_stack([grid.points[seen], np.zeros(int(seen.sum()))])
-    view = View(object_points, corners.points[seen], corners.sigma[seen], source, stamp_ns)
+    view = View(object_points, corners.points[seen], sigma, source, stamp_ns)
     return Detection(view, width, square)
 
 

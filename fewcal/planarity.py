@@ -8,7 +8,9 @@ lens distortion", 2001),
 
 and a polynomial takes the rest, and the bend of the paper; of several lambdas the one that leaves least is
 taken. The fit is robust, so that a wrong corner does not bend it. What remains is judged against the size of
-the squares: every lens and every sheet of paper passes, and no corner that belongs elsewhere.
+the squares: every lens and every sheet of paper passes, and no corner that belongs elsewhere. One that passes
+and yet stands out from the others has been moved, by a smear that touches the next one, by the edge of a
+shadow or by a finger, and is uncertain by as much.
 """
 
 from __future__ import annotations
@@ -37,6 +39,12 @@ POINTS_PER_TERM = 3.0
 """Corners for each term of the polynomial, so that it cannot follow single ones."""
 MAX_DEGREE = 5
 """Degree of the polynomial, as far as there are corners for it."""
+OUTLYING = 4.0
+"""Residual that stands out, in sd of either direction: of points with normal errors one in 3000 does."""
+TELLING_DEGREE = 3
+"""A polynomial of a lower degree leaves more than the errors of the points, where the lens bends strongly."""
+RAYLEIGH_MEDIAN = 1.1774
+"""Median length of a two-dimensional error, in sd of either direction: sqrt(2 ln 2)."""
 RIDGE = 1e-10
 """Share of the trace added to the diagonal of the normal equations: terms that a narrow board cannot tell
 apart share what they have in common."""
@@ -44,7 +52,7 @@ _ROUNDS = 4
 """Rounds of reweighting; the weights hardly change after three."""
 
 
-def planar_residuals(corners: RefinedCorners, image_shape: tuple[int, ...]) -> tuple[Array, Array]:
+def planar_residuals(corners: RefinedCorners, image_shape: tuple[int, ...]) -> tuple[Array, Array, Array]:
     """Distance of each corner of a whole grid from where a plane behind a smooth lens would show it.
 
     Parameters
@@ -60,19 +68,22 @@ def planar_residuals(corners: RefinedCorners, image_shape: tuple[int, ...]) -> t
         Pixels, found less expected.
     allowed : (R, C)
         Largest length of a residual that a good corner may have, pixels.
+    outlying : (R, C)
+        How far off a corner is that stands out from the others, pixels; 0 for all others.
     """
     rows, columns = corners.points.shape[:2]
     plane = np.indices((rows, columns))[::-1].reshape(2, -1).T.astype(np.float64)
     square = np.fmin(*(np.linalg.norm(axes, axis=2) for axes in local_axes(corners.points)))
-    residuals, allowed = plane_residuals(
+    residuals, allowed, outlying = plane_residuals(
         plane, corners.points.reshape(-1, 2), square.ravel(), corners.sigma.ravel(), image_shape
     )
-    return residuals.reshape(rows, columns, 2), allowed.reshape(rows, columns)
+    shape = rows, columns
+    return residuals.reshape(*shape, 2), allowed.reshape(shape), outlying.reshape(shape)
 
 
 def plane_residuals(
     plane: Array, pixels: Array, spacing: Array, sigma: Array, image_shape: tuple[int, ...]
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Distance of each point from where a plane behind a smooth lens would show it.
 
     Parameters
@@ -94,6 +105,8 @@ def plane_residuals(
         Pixels, found less expected.
     allowed : (N,)
         Largest length of a residual that a good point may have, pixels.
+    outlying : (N,)
+        How far off a point is that stands out from the others, pixels; 0 for all others.
     """
     middle, half_diagonal = half_diagonals(image_shape)
     found = (pixels - middle) / half_diagonal
@@ -101,7 +114,15 @@ def plane_residuals(
     allowed = np.clip(
         MAX_RESIDUAL_SIGMAS * sigma, MAX_RESIDUAL_SHARE * spacing, MAX_UNCERTAIN_SHARE * spacing
     )
-    return residuals, allowed
+    return residuals, allowed, _outlying(np.linalg.norm(residuals, axis=1), sigma)
+
+
+def _outlying(residual: Array, sigma: Array) -> Array:
+    """Residuals (N,) that stand out; 0 for others, and where the points are too few to tell."""
+    if supported_degree(len(residual)) < TELLING_DEGREE:
+        return np.zeros_like(residual)
+    scatter = np.median(residual) / RAYLEIGH_MEDIAN
+    return np.where(residual > OUTLYING * np.hypot(sigma, scatter), residual, 0.0)
 
 
 def half_diagonals(image_shape: tuple[int, ...]) -> tuple[Array, float]:

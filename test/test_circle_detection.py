@@ -247,6 +247,14 @@ def test_motion_during_the_readout_shears_a_board_and_vibration_is_refused(
     assert "flat" in str(error) or "circles cannot be seen" in str(error)
 
 
+def test_a_smear_that_touches_the_next_circle_says_so() -> None:
+    image, true = picture(pose(SYMMETRIC, 20), motion_px=21)
+    view = detect(image, SYMMETRIC)
+    error = np.linalg.norm(view.image_points - either_way(view.image_points, true), axis=1)
+    assert error.max() > 1.5
+    assert (error < 3 * view.sigma).all()
+
+
 @KINDS
 @pytest.mark.parametrize("image", [np.full((50, 50), np.nan), np.zeros((0, 9), np.uint8), None], ids=str)
 def test_what_is_no_image_is_refused(board: CircleGrid | AsymmetricCircleGrid, image: Any) -> None:

@@ -78,7 +78,10 @@ class AprilGrid:
             raise InvalidInput(f"There is no family {self.family!r}; there are {', '.join(FAMILIES)}.")
         count = DICTIONARIES[self.dictionary][1]
         if self.columns * self.rows > count:
-            raise InvalidInput(f"{self.family} has {count} tags, the board needs {self.columns * self.rows}.")
+            raise InvalidInput(
+                f"{self.family} has {count} tags, the board needs {self.columns * self.rows}; choose "
+                "a smaller board or another family."
+            )
 
     @classmethod
     def parse(cls, text: str) -> AprilGrid:

@@ -14,10 +14,10 @@ from .corner_refinement import Squares
 from .detection import Detection
 from .errors import BoardNotFound
 from .grey import GreyImage
-from .marker_boards import CornerGrid, locate_board
+from .marker_boards import CornerGrid, locate_board, mirrored
 from .marker_lattice import Sighting, find_squares
 from .marker_placement import Layout
-from .markers import DICTIONARIES, recognise
+from .markers import DICTIONARIES, in_mirror, recognise
 
 if TYPE_CHECKING:
     from .aprilgrid import AprilGrid
@@ -72,6 +72,11 @@ def aprilgrid_layout(board: AprilGrid) -> Layout:
 
 def _explain(grey: GreyImage, board: AprilGrid, seen: Sighting) -> BoardNotFound | None:
     """Say why few tags or none fit the board; None when nothing fits better."""
+    if any(
+        in_mirror(grey, seen.unread, board.dictionary, border, least=len(seen.ids))
+        for border in (BORDER_BITS, 1)
+    ):
+        return mirrored()
     if len(seen.ids) < 2:
         others = {recognise(grey, seen.unread, border) for border in (BORDER_BITS, 1)}
         for other in others - {None, board.dictionary}:

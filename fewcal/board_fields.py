@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from .errors import InvalidInput
 
-COUNTS = r"(?P<columns>\d{1,4})[xX](?P<rows>\d{1,4})"
-"""How columns and rows are written in every text form."""
+COUNTS = r"(?P<columns>\d{1,3})[xX](?P<rows>\d{1,3})"
+"""How columns and rows are written in every text form; no camera resolves a thousand."""
+MIN_LENGTH_M, MAX_LENGTH_M = 1e-6, 10.0
+"""From squares under a microscope to those on a wall; 25 was meant to be 25 mm."""
 
 
 def match_form(pattern: str, text: str, form: str) -> re.Match[str]:
@@ -36,9 +38,13 @@ def is_count(value: object, least: int) -> bool:
 
 
 def check_length(name: str, value: object) -> None:
-    """Refuse what is no positive length."""
+    """Refuse what is no positive length, and what is none of a board."""
     if isinstance(value, bool) or not (isinstance(value, float | int | np.number) and 0 < value < math.inf):
         raise InvalidInput(f"The {name} must be a positive length in metres, not {value!r}.")
+    if not MIN_LENGTH_M <= value <= MAX_LENGTH_M:
+        raise InvalidInput(
+            f"A {name} of {float(value):g} m is not that of a board; lengths are in metres, 0.025 for 25 mm."
+        )
 
 
 def lattice(columns: int, rows: int, step: float) -> NDArray[np.float64]:

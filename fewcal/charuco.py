@@ -71,7 +71,8 @@ class Charuco:
         check_length("marker size", self.marker_size)
         if self.marker_size >= self.square_size:
             raise InvalidInput(
-                f"A marker of {self.marker_size!r} m does not fit into a square of {self.square_size!r} m."
+                f"A marker of {self.marker_size!r} m does not fit into a square of {self.square_size!r} m; "
+                "the edge of a square comes first, then that of a marker."
             )
         check_dictionary(self.dictionary, self.marker_count)
 

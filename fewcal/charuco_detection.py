@@ -14,10 +14,10 @@ from .corner_refinement import Squares
 from .detection import Detection
 from .errors import BoardNotFound
 from .grey import GreyImage
-from .marker_boards import CornerGrid, locate_board
+from .marker_boards import CornerGrid, locate_board, mirrored
 from .marker_lattice import Sighting, find_squares
 from .marker_placement import Layout
-from .markers import DICTIONARIES, recognise
+from .markers import DICTIONARIES, in_mirror, recognise
 
 if TYPE_CHECKING:
     from .charuco import Charuco
@@ -67,8 +67,11 @@ def charuco_layout(board: Charuco) -> Layout:
 
 def _explain(grey: GreyImage, board: Charuco, seen: Sighting) -> BoardNotFound | None:
     """Say why few markers or none fit the board; None when nothing fits better."""
+    inset = (1 - board.marker_size / board.square_size) / 2
+    if in_mirror(grey, seen.unread, board.dictionary, 1, inset, len(seen.ids)):
+        return mirrored()
     if len(seen.ids) < 2:
-        other = recognise(grey, seen.unread, 1, (1 - board.marker_size / board.square_size) / 2)
+        other = recognise(grey, seen.unread, 1, inset)
         if other is not None and other != board.dictionary:
             return BoardNotFound(
                 "wrong size",
@@ -80,6 +83,8 @@ def _explain(grey: GreyImage, board: Charuco, seen: Sighting) -> BoardNotFound |
             f"No markers of {board.dictionary} are to be seen; show the board sharp, well lit and close by.",
         )
     columns = seen.markers_a_step(2)
+    if columns is not None and columns < 0:  # some dictionaries have the mirror images of their markers too
+        return mirrored()
     if columns not in (None, board.columns):
         return BoardNotFound(
             "wrong size",

@@ -179,6 +179,13 @@ def _check_sharp(blur: Array, square_px: Array, grid: CornerGrid) -> None:
         raise blurred(width, square)
 
 
+def mirrored() -> BoardNotFound:
+    """Say that the markers are the wrong way round."""
+    return BoardNotFound(
+        "no board", "The markers are seen in a mirror; show the board itself, or mirror the images back."
+    )
+
+
 def _check_enough(seen: NDArray[np.bool_]) -> None:
     """Refuse a view whose corners (R, C) are too few or all in one line."""
     found, lines = int(seen.sum()), [(seen.sum(axis=axis) > 1).sum() for axis in (0, 1)]

@@ -52,7 +52,10 @@ def check_dictionary(name: str, markers: int) -> None:
     if name not in DICTIONARIES:
         raise InvalidInput(f"There is no dictionary {name!r}; there are {', '.join(DICTIONARIES)}.")
     if markers > DICTIONARIES[name][1]:
-        raise InvalidInput(f"{name} has {DICTIONARIES[name][1]} markers, the board needs {markers}.")
+        raise InvalidInput(
+            f"{name} has {DICTIONARIES[name][1]} markers, the board needs {markers}; choose a smaller board "
+            "or a larger dictionary."
+        )
 
 
 def marker_bits(name: str, ids: Indices) -> Bits:
@@ -134,10 +137,34 @@ def recognise(grey: GreyImage, quads: Array, border_bits: int = 1, inset: float 
         signs = _signs(bits[bordered])
         for name in hits:
             if DICTIONARIES[name][0] == size and hasattr(_ARUCO, name):
-                codes = _codes(name).reshape(-1, size * size)
-                hits[name] = int(((signs @ codes.T).max(axis=1) == size * size).sum())
+                hits[name] = _exact(signs, name)
     best = max(hits, key=lambda name: hits[name])  # of several that have them all the smallest comes first
     return best if hits[best] >= MIN_RECOGNISED else None
+
+
+def in_mirror(
+    grey: GreyImage, quads: Array, name: str, border_bits: int = 1, inset: float = 0.0, least: int = 0
+) -> bool:
+    """Whether squares that show no markers show more than so many in a mirror, all bits being right.
+
+    Parameters
+    ----------
+    grey, quads, border_bits, inset
+        See :func:`recognise`.
+    name : str
+        One of `DICTIONARIES`.
+    least : int
+        Markers that were read without a mirror, as chance may have it.
+    """
+    size = DICTIONARIES[name][0]
+    bits, bordered = _bits(read_levels(grey, quads[:, ::-1], size + 2 * border_bits, inset), size)
+    return bool(bordered.any()) and _exact(_signs(bits[bordered]), name) >= max(MIN_RECOGNISED, least + 1)
+
+
+def _exact(signs: NDArray[np.float32], name: str) -> int:
+    """How many of some markers, bits as signs (K, n * n), are those of a dictionary in every bit."""
+    codes = _codes(name).reshape(-1, signs.shape[1])
+    return int(((signs @ codes.T).max(axis=1) == signs.shape[1]).sum())
 
 
 def _bits(levels: Array, size: int) -> tuple[Bits, NDArray[np.bool_]]:

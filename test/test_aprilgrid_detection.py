@@ -206,3 +206,10 @@ def test_real_tags_are_found_in_order() -> None:
 )
 def test_where_no_board_is_none_is_found(image: Any) -> None:
     assert refusal(image).reason == "no board"
+
+
+@pytest.mark.parametrize("family", ["tag36h11", "tag25h9", "tag16h5"])
+def test_a_board_in_a_mirror_is_told(family: str) -> None:
+    board = replace(GRID, family=family, from_top=family == "tag16h5")
+    image, _ = picture(board, TAG_PX, 20, 40, 10)
+    assert "in a mirror" in str(refusal(np.ascontiguousarray(image[:, ::-1]), board))

@@ -31,6 +31,14 @@ def test_lengths_are_positive(value: object) -> None:
         check_length("gap", value)
 
 
+@pytest.mark.parametrize("value", [25, 1e300, 1e-300])
+def test_lengths_are_those_of_boards(value: float) -> None:
+    with pytest.raises(
+        InvalidInput, match=r"A gap of .* m is not that of a board; lengths are in metres, .*\."
+    ):
+        check_length("gap", value)
+
+
 def test_a_lattice_goes_row_by_row() -> None:
     np.testing.assert_array_equal(
         lattice(3, 2, 0.5), [[0, 0, 0], [0.5, 0, 0], [1, 0, 0], [0, 0.5, 0], [0.5, 0.5, 0], [1, 0.5, 0]]

@@ -31,6 +31,7 @@ def test_a_chessboard_is_a_board() -> None:
         "chessboard:9x6:0.025:0.03",
         "chessboard:9.5x6:0.025",
         "chessboard:-9x6:0.025",
+        "chessboard:9999x9999:0.025",
         "hexagons:9x6:0.025",
     ],
 )

@@ -229,3 +229,13 @@ def test_where_no_board_is_none_is_found(image: Any) -> None:
 def test_a_blurred_board_is_refused() -> None:
     image, _ = marker_picture(CHARUCO, 48, 20, 40, 15, conditions=Conditions(blur_px=6.0))
     assert refusal(image).reason in ("blurred", "no board")
+
+
+@pytest.mark.parametrize(
+    "dictionary", ["DICT_4X4_50", "DICT_4X4_1000", "DICT_6X6_250", "DICT_ARUCO_ORIGINAL"]
+)
+def test_a_board_in_a_mirror_is_told(dictionary: str) -> None:
+    board = Charuco(6, 8, 0.04, 0.03, dictionary, legacy=True)
+    image, _ = marker_picture(board, 40, 20, 40, 10)
+    assert len(board.detect(image).view) == 35
+    assert "in a mirror" in str(refusal(np.ascontiguousarray(image[:, ::-1]), board))

@@ -61,7 +61,7 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
     prior = tails.by_unknowns
     return Posterior(
         found.covariance,
-        covariance_from_rows(prior),
+        covariance_from_rows(prior if tails.normal is None else tails.normal),
         np.swapaxes(J, -1, -2) @ J,
         prior.T @ (found.precision[:, None] * prior),
     )

@@ -198,11 +198,6 @@ class PriorRows:
         model[:, -1, -1] = at.total
         return model
 
-    def kind(self, theta: Array) -> Indices:
-        """Kind of lenses (B,) that cameras (B, S) most likely have."""
-        pairs = self._density(theta).share @ self.kinds[: len(self.group) - 11 + theta.shape[1]]
-        return np.asarray(pairs.argmax(axis=1))
-
     def tails(self, theta: Array) -> Tails:
         """See the priors as normal ones of unknown precision, at one camera (S,)."""
         at = self._density(theta[None])
@@ -252,7 +247,7 @@ class PriorRows:
         highest = share.max(axis=1, keepdims=True)
         share = np.exp(share - highest)
         whole = share.sum(axis=1, keepdims=True)
-        radial = -2 * (highest + np.log(whole))[:, 0]
+        radial = np.maximum(-2 * (highest + np.log(whole))[:, 0], 0)
         return _Density(
             z,
             by_theta,

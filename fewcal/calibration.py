@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .adjustment import Estimate, Rows
 from .camera import Camera
-from .constraints import PRIOR_ROWS, PriorRows, Priors
+from .constraints import PRIOR_ROWS, Priors
 from .copies import copies
 from .departures import COUNT
 from .errors import InvalidInput
@@ -22,6 +22,7 @@ from .noise import Noise
 from .parametrisation import PixelModel, ScaleFree
 from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
 from .posterior import NAMES, determined_share, gaussian_covariance, posterior, projection_std
+from .prior_rows import PriorRows
 from .verdict import Evidence, Thresholds, Verdict, extent, judge, tilt_deg
 from .views import View, stack_views
 from .zhu2020 import estimate_zhang, estimate_zhu2020
@@ -220,7 +221,7 @@ def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
         found.geometry.theta[0, model.size :],
         J @ result.covariance[:8, :8] @ J.T,
         {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)[:8]).items()},
-        _worst_by_name(np.abs(rows.prior[: model.size])),
+        _worst_by_name(known.distance(found.geometry.theta[0])[: model.size]),
     )
 
 

@@ -58,12 +58,15 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
     reduced = camera_rows(rows)
     J, r = reduced[..., :-1], reduced[..., -1]
     found = moments(J.reshape(-1, J.shape[-1]), r.ravel(), tails)
-    prior = tails.by_unknowns
+    normal = tails.by_unknowns if tails.normal is None else tails.normal
+    # Alternatives are as wide as all of them together, whichever it is in the end.
+    of_one = tails.group[-len(normal) :] >= len(tails.height)
+    precision = np.where(of_one, found.precision[-len(normal) :], 1.0)
     return Posterior(
         found.covariance,
-        covariance_from_rows(prior),
+        covariance_from_rows(normal),
         np.swapaxes(J, -1, -2) @ J,
-        prior.T @ (found.precision[:, None] * prior),
+        normal.T @ (precision[:, None] * normal),
     )
 
 

@@ -14,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import is_covariance, require_numbers, require_pair
 from .errors import InvalidInput
 from .least_squares import diagonal
 from .scale_mixture import Tails
@@ -26,16 +27,6 @@ STIFFNESS = 0.7
 """Least curvature of a t prior along its argument, as a share of Gauss-Newton's."""
 LARGEST_EXPONENT = 50.0
 """Bound of the exponent of eq 29; beyond it the penalty would overflow long before it mattered."""
-
-
-def _require_finite(name: str, numbers: tuple[float, ...], positive: tuple[float, ...]) -> None:
-    if not all(math.isfinite(x) for x in (*numbers, *positive)) or not all(x > 0 for x in positive):
-        raise InvalidInput(f"{name} needs finite numbers, with widths above zero.")
-
-
-def _require_pair(name: str, pair: tuple[float, float]) -> None:
-    if len(pair) != 2 or not all(math.isfinite(x) and x > 0 for x in pair):
-        raise InvalidInput(f"Priors.{name} must be two positive numbers, mean and standard deviation.")
 
 
 @dataclass(frozen=True)
@@ -52,7 +43,7 @@ class Normal:
     sd: float
 
     def __post_init__(self) -> None:
-        _require_finite("Normal", (self.mean, self.sd), (self.sd,))
+        require_numbers("Normal", [self.mean], positive=[self.sd])
 
     @property
     def nu(self) -> float:
@@ -83,7 +74,7 @@ class StudentT:
     mean: float = 0.0
 
     def __post_init__(self) -> None:
-        _require_finite("StudentT", (self.nu, self.scale, self.mean), (self.nu, self.scale))
+        require_numbers("StudentT", [self.mean], positive=[self.nu, self.scale])
 
 
 Distribution: TypeAlias = Normal | StudentT
@@ -113,9 +104,11 @@ class RadialPrior:
     reference: float = 0.85
 
     def __post_init__(self) -> None:
-        _require_finite("RadialPrior", (*self.intercept, *self.slope), (self.nu, self.reference))
-        if np.shape(self.covariance) != (2, 2) or not np.all(np.linalg.eigvalsh(self.covariance) > 0):
-            raise InvalidInput("RadialPrior.covariance must be a positive definite 2x2 matrix.")
+        require_numbers("RadialPrior", [], positive=[self.nu, self.reference])
+        require_pair("RadialPrior.intercept", self.intercept)
+        require_pair("RadialPrior.slope", self.slope)
+        if not is_covariance(self.covariance):
+            raise InvalidInput("RadialPrior.covariance must be a symmetric positive definite 2x2 matrix.")
 
     def mean(self, log_focal_over_width: Array) -> tuple[Array, Array]:
         """Mean (B, 2) of (a1, a2) for a focal length, and its derivative by the log focal length."""
@@ -164,9 +157,14 @@ class Priors:
     corner_sigma_px: tuple[float, float] = (0.25, 1.0)
 
     def __post_init__(self) -> None:
+        for name in _SINGLE_PRIORS:
+            if not isinstance(getattr(self, name), (Normal, StudentT)):
+                raise InvalidInput(f"Priors.{name} must be fewcal.Normal or fewcal.StudentT.")
+        if not isinstance(self.radial, RadialPrior):
+            raise InvalidInput("Priors.radial must be fewcal.RadialPrior.")
         if self.focal_px is not None:
-            _require_pair("focal_px", self.focal_px)
-        _require_pair("corner_sigma_px", self.corner_sigma_px)
+            require_pair("Priors.focal_px", self.focal_px, positive=True)
+        require_pair("Priors.corner_sigma_px", self.corner_sigma_px, positive=True)
 
     def focal(self, width: float) -> Distribution:
         """Prior of ln(fx / width), width in pixels, the user's own when there is one."""
@@ -306,6 +304,16 @@ class PriorRows:
         return z, by_theta
 
 
+_SINGLE_PRIORS = (
+    "log_focal_over_width",
+    "log_aspect",
+    "principal_point_x",
+    "principal_point_y",
+    "tangential",
+    "board_bend",
+    "lens_remainder",
+)
+"""Fields of :class:`Priors` that are distributions of one number."""
 _SINGLE = np.array([0, 1, 2, 3, 4, 4, 4, 5, 6, 6, 7])
 """Prior of each unknown among the single ones; the radial terms have their own."""
 _TOGETHER = np.eye(11)

@@ -280,6 +280,18 @@ def test_a_false_focal_length_is_a_conflict() -> None:
     assert any("focal length contradicts" in reason for reason in doubtful.verdict.reasons)
 
 
+@pytest.mark.parametrize("views", [1, 2, 5])
+@pytest.mark.parametrize("sd", [0.03, 0.005, 1e-3, 1e-4, 1e-6])
+def test_a_false_focal_length_is_not_usable_however_surely_it_is_stated(views: int, sd: float) -> None:
+    # The surer a prior the less is left of it at the estimate; the points are what it has to be held against.
+    seen = noisy(views_at(*FIVE[:views]), 0.2, 1)
+    found = calibrate(seen, SIZE, priors=Priors(focal_px=(1300, 1300 * sd)))
+    assert not found.verdict.usable or found.camera.fx == pytest.approx(1100, rel=0.01)
+    assert found.prior_conflicts["focal length"] > 3
+    right = calibrate(seen, SIZE, priors=Priors(focal_px=(1100, 1100 * sd)))
+    assert right.prior_conflicts == {}
+
+
 def test_a_conflict_far_out_in_the_tail_of_a_prior_is_not_settled() -> None:
     # A t prior is nearly flat out there; measured at the estimate it seems to have said nothing.
     views = noisy(views_at((40, 30), (35, 120)), 0.2, 0)
@@ -352,6 +364,7 @@ def test_pixel_distortion_says_the_same_as_the_camera() -> None:
 
 DEGENERATE = {
     "Fronto-parallel": [pose(1, 0), pose(2, 90)],
+    "The same view again": [pose(30, 0), pose(30, 0), pose(30, 0)],
     "Parallel planes": [pose(30, 0), pose(30, 0, shift_px=(200, 100), span=0.3)],
     "Turn about the normal": [pose(30, 0), pose(30, 0, 60)],
     "Board too small": [pose(40, 30, span=0.1), pose(35, 120, span=0.1)],

@@ -144,8 +144,8 @@ def degeneracies(
         )
     elif len(rotations) > 1 and (1 / copies).sum() < DISTINCT:
         yield (
-            f"The same view again: all {len(rotations)} views show the board in the same place, so they "
-            "count as one; tilt the board by 30 deg about another axis."
+            f"The same view again: the {len(rotations)} views show the board in one place, so they count as "
+            "one; tilt the board by 30 deg about another axis."
         )
     elif len(rotations) > 1:
         yield from _parallel(rotations, thresholds)
@@ -207,8 +207,8 @@ def _doubts(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
     if evidence.sigma_px > thresholds.sigma_px:
         yield (
             f"The points miss the camera by {evidence.sigma_px:.1f} px (one sigma), more than any board or "
-            "lens explains; check that points and board belong together, the board is flat and every prior "
-            "true."
+            "lens explains; check that points and board belong together, the board is flat, the lens no "
+            "fisheye and every prior true."
         )
     if evidence.outside_px > OUTSIDE_PX:
         width, height = evidence.image_size

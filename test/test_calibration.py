@@ -184,6 +184,42 @@ def test_the_order_of_views_and_points_does_not_matter(seed: int, count: int) ->
     np.testing.assert_allclose(two.view_rms, one.view_rms[order], rtol=1e-5)
 
 
+@few
+@given(seed=st.integers(0, 1000), count=st.sampled_from([1, 2, 4]), turned=st.booleans())
+def test_turning_or_mirroring_the_picture_turns_or_mirrors_the_camera(
+    seed: int, count: int, turned: bool
+) -> None:
+    # Half a turn of the picture, or board and picture in a mirror. The priors know neither.
+    views = noisy(views_at(*FIVE[:count]), 0.2, seed)
+    board, image = ([1, 1, 1], [-1, -1]) if turned else ([-1, 1, 1], [-1, 1])
+    border = np.array([SIZE[0] - 1, SIZE[1] - 1 if turned else 0])
+    other = [View(v.object_points * board, v.image_points * image + border) for v in views]
+    one, two = calibrate(views, SIZE), calibrate(other, SIZE)
+    k1, k2, p1, p2, _ = one.camera.distortion
+    np.testing.assert_allclose(two.camera.intrinsics[:2], one.camera.intrinsics[:2], rtol=1e-5)
+    np.testing.assert_allclose(
+        two.camera.intrinsics[2:] * image + border, one.camera.intrinsics[2:], atol=1e-2
+    )
+    expected = [k1, k2, p1 * image[1], p2 * image[0], 0]
+    np.testing.assert_allclose(two.camera.distortion, expected, rtol=1e-4, atol=1e-5)
+    assert two.std == pytest.approx(one.std, rel=1e-3)
+    assert two.verdict.usable == one.verdict.usable
+
+
+@few
+@given(seed=st.integers(0, 1000), quarters=st.integers(1, 3), shift=st.floats(-100, 100))
+def test_which_corner_the_board_is_counted_from_does_not_matter(
+    seed: int, quarters: int, shift: float
+) -> None:
+    views = noisy(views_at(*FIVE[:2]), 0.2, seed)
+    quarter = np.linalg.matrix_power(np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]), quarters)
+    other = [View(v.object_points @ quarter + shift, v.image_points) for v in views]
+    one, two = calibrate(views, SIZE), calibrate(other, SIZE)
+    np.testing.assert_allclose(parameters(two.camera), parameters(one.camera), rtol=1e-5, atol=1e-5)
+    # The points that error bars are averaged over know x from y.
+    assert two.focal_std == pytest.approx(one.focal_std, rel=0.02)
+
+
 # --- error bars --------------------------------------------------------------------------------------------
 
 

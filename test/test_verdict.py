@@ -46,7 +46,7 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
     "scatter": (
         {"sigma_px": 4.2},
         "The points miss the camera by 4.2 px (one sigma), more than any board or lens explains; check that "
-        "points and board belong together, the board is flat and every prior true.",
+        "points and board belong together, the board is flat, the lens no fisheye and every prior true.",
     ),
     "fronto-parallel": (
         {"rotations": rotations((2, 0), (3.2, 90))},
@@ -65,8 +65,8 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
     ),
     "same view": (
         {"rotations": rotations((30, 0), (30, 0), (31, 0)), "copies": np.full(3, 2.9)},
-        "The same view again: all 3 views show the board in the same place, so they count as one; tilt the "
-        "board by 30 deg about another axis.",
+        "The same view again: the 3 views show the board in one place, so they count as one; tilt the board "
+        "by 30 deg about another axis.",
     ),
     "small": (
         {"extents": np.array([0.08, 0.123])},

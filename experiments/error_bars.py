@@ -140,5 +140,5 @@ def _worst_score(error: Array, covariance: Array) -> float:
 def prior_focal_std(camera: fewcal.Camera, size: tuple[int, int]) -> float:
     """Standard deviation of ln fx by the prior alone, for a camera whose distortion is known."""
     theta = ScaleFree(size).theta(np.concatenate([camera.intrinsics, camera.distortion[:4]]))
-    by_focal = Priors().rows(max(size))(theta[None])[1][0, :, 0]
+    by_focal = Priors().rows(size)(theta[None])[1][0, :, 0]
     return float(1 / np.linalg.norm(by_focal))

@@ -217,9 +217,9 @@ def focal_bounds(camera: VirtualCamera, trial: Trial) -> Array:
         rows = Adjustment(stack, model, constraint).rows(at, ROUNDING_PX)
         return math.sqrt(gaussian_covariance(rows)[0, 0])
 
-    width = max(camera.image_size)
     vague = Priors(log_focal_over_width=Normal(0.0, VAGUE))
-    return np.array([bound(_no_rows), bound(vague.rows(width)), bound(Priors().rows(width))])
+    known = [priors.rows(camera.image_size) for priors in (vague, Priors())]
+    return np.array([bound(constraint) for constraint in (_no_rows, *known)])
 
 
 def _one_by_one(trials: Sequence[Views], size: tuple[int, int], priors: Priors) -> list[Array | None]:

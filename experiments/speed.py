@@ -72,17 +72,17 @@ def run_scipy(views: list[fewcal.View]) -> Callable[[], object]:
     rotation = poses[:, :3, :3]
     position = poses[:, :3, 3] + (rotation @ stack.centroid[..., None])[..., 0]
     natural = np.concatenate([answer.camera.intrinsics, answer.camera.distortion[:4]])
-    problem = Adjustment(stack, model, fewcal.Priors().rows(max(SIZE)))
+    problem = Adjustment(stack, model, fewcal.Priors().rows(SIZE))
     at = Geometry(model.theta(natural)[None], (rotation @ stack.plane)[None], position[None])
     count = len(views)
 
     def rows(x: Array) -> tuple[Array, Array]:
         found = problem.rows(problem.retract(at, x[None, :8], x[8:].reshape(1, count, 6)), answer.sigma_px)
-        J = np.zeros((found.r.size + 8, len(x)))
+        J = np.zeros((found.r.size + len(found.prior), len(x)))
         for v, (by_camera, by_pose) in enumerate(zip(found.by_camera, found.by_pose, strict=True)):
             part = slice(v * len(by_camera), (v + 1) * len(by_camera))
             J[part, :8], J[part, 8 + 6 * v : 14 + 6 * v] = by_camera, by_pose
-        J[-8:, :8] = found.prior_by_camera
+        J[found.r.size :, :8] = found.prior_by_camera
         return np.concatenate([found.r.ravel(), found.prior]), J
 
     start = np.zeros(8 + 6 * count)

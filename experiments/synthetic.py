@@ -36,6 +36,7 @@ from fewcal.departures import lens_remainder as radial_remainder
 from fewcal.distortion import fold_radius
 from fewcal.noise import ABSORBED, CORRELATION, MODEL_ERROR_PX
 from fewcal.parametrisation import ScaleFree
+from fewcal.radial_prior import Lenses
 from fewcal.verdict import folds_inside
 
 Array = NDArray[np.float64]
@@ -100,15 +101,17 @@ def draw_camera(
         model = ScaleFree(size)
         theta = np.zeros(8)
         focal = priors.focal(max(size))
-        log_focal = _draw(focal, rng)
-        theta[0] = log_focal + np.log(max(size))
+        theta[0] = _draw(focal, rng) + np.log(max(size))
         theta[1] = width * _draw(priors.log_aspect, rng)
         theta[2] = width * _draw(priors.principal_point_x, rng)
         theta[3] = width * _draw(priors.principal_point_y, rng)
-        radial = priors.radial
-        gain = np.sqrt(radial.nu / rng.chisquare(radial.nu))
-        spread = np.linalg.cholesky(np.array(radial.covariance))
-        theta[4:6] = radial.mean(np.array([log_focal]))[0][0] + gain * spread @ rng.normal(size=2)
+        lenses = Lenses.of(priors.radial)
+        kind = rng.choice(len(lenses.share), p=lenses.share)
+        nu = priors.radial[kind].nu
+        gain = np.sqrt(nu / rng.chisquare(nu))
+        spread = np.linalg.cholesky(lenses.covariance[kind])
+        corner = np.array(model.diagonal / 2 / np.exp(theta[0]))
+        theta[4:6] = lenses.means(corner)[0][kind] + gain * spread @ rng.normal(size=2)
         theta[6:8] = [_draw(priors.tangential, rng) for _ in range(2)]
         natural = model.natural(theta)
         camera = fewcal.Camera(*natural[:4].tolist(), np.append(natural[4:], 0.0))

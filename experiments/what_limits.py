@@ -21,8 +21,9 @@ import numpy as np
 from real_cameras import Answer, Result, draws, load, measure, opencv, quantiles
 
 import fewcal
-from fewcal.constraints import Normal, Priors, RadialPrior
+from fewcal.constraints import Normal, Priors
 from fewcal.parametrisation import ScaleFree
+from fewcal.radial_prior import RadialPrior
 
 PARTS = {
     "nothing": (),
@@ -46,7 +47,7 @@ def knowing(camera: fewcal.Camera, size: tuple[int, int], parts: tuple[str, ...]
         priors = replace(priors, principal_point_x=Normal(x, 1e-5), principal_point_y=Normal(y, 1e-5))
     if "radial" in parts:
         covariance = ((1e-8, 0.0), (0.0, 1e-8))
-        priors = replace(priors, radial=RadialPrior(1e3, (a1, a2), (0.0, 0.0), covariance))
+        priors = replace(priors, radial=(RadialPrior(1e3, covariance, terms=(a1, a2)),))
     if "focal" in parts:
         priors = replace(priors, focal_px=(camera.fx, 4e-4 * camera.fx))
     return priors

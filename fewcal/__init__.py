@@ -14,7 +14,7 @@ from .boards import (
 from .calibration import Calibration, calibrate
 from .camera import Camera
 from .camera_info import read_camera_info, write_camera_info
-from .constraints import Normal, Priors, RadialPrior, StudentT
+from .constraints import Normal, Priors, StudentT
 from .detection import detect
 from .errors import (
     BoardNotFound,
@@ -24,6 +24,7 @@ from .errors import (
     InvalidInput,
     ModelFoldsOver,
 )
+from .radial_prior import RadialPrior
 from .session import Session
 from .verdict import Thresholds, Verdict
 from .views import View

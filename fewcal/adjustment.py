@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .constraints import PriorRows
 from .departures import Departures
 from .least_squares import NormalEquations, Stop, take
 from .noise import Noise
 from .parametrisation import SHIFT, Parametrisation, ScaleFree
+from .prior_rows import PriorRows
 from .views import ViewStack
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .adjustment import Estimate, Rows
 from .camera import Camera
-from .constraints import PRIOR_ROWS, PriorRows, Priors
+from .constraints import PRIOR_ROWS, Priors
 from .copies import copies
 from .departures import COUNT
 from .errors import InvalidInput
@@ -22,6 +22,7 @@ from .noise import Noise
 from .parametrisation import PixelModel, ScaleFree
 from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
 from .posterior import NAMES, determined_share, gaussian_covariance, posterior, projection_std
+from .prior_rows import PriorRows
 from .verdict import Evidence, Thresholds, Verdict, extent, judge, outside, tilt_deg
 from .views import View, stack_views
 from .zhu2020 import estimate_zhang, estimate_zhu2020
@@ -213,6 +214,7 @@ def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
     known = found.adjustment.constraint
     assert isinstance(known, PriorRows)
     result = posterior(rows, known.tails(found.geometry.theta[0]))
+    distance = known.distance(found.geometry.theta[0])
     J = model.natural_jacobian(theta)
     return _Solution(
         camera,
@@ -222,7 +224,7 @@ def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
         found.geometry.theta[0, model.size :],
         _propagated(result.covariance[:8, :8], J),
         {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)[:8]).items()},
-        _worst_by_name(np.maximum(np.abs(rows.prior), np.abs(result.against_prior))[: model.size]),
+        _worst_by_name(np.maximum(distance, np.abs(result.against_prior))[: model.size]),
     )
 
 

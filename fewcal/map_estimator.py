@@ -32,6 +32,8 @@ from .least_squares import (
 from .noise import Noise
 from .parametrisation import ScaleFree
 from .planar_pose import planar_poses
+from .prior_rows import PriorRows
+from .radial_prior import Lenses
 from .views import ViewStack
 
 Array = NDArray[np.float64]
@@ -62,7 +64,7 @@ real boards the arrangement that won in the end was foreseen at up to 3.8 times 
 
 _COARSE = Tolerances(decrease=0.5, relative=0.0, iterations=25, damping=1e-4)
 _ROUND = Tolerances(decrease=1e-2, relative=0.0, iterations=50)
-_FINE = Tolerances(decrease=1e-5, relative=0.0, iterations=1500, damping=1e-6, final_step=True)
+_FINE = Tolerances(decrease=3e-10, relative=0.0, iterations=1500, damping=1e-6, final_step=True)
 """Exact points at a small angle leave a long, narrow valley; views that a camera saw take a few steps."""
 
 
@@ -109,7 +111,7 @@ class _Found(NamedTuple):
 def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
     """Find the best minimum for one camera model."""
     noise = Noise.of(views, priors)
-    problem = Adjustment(views, model, priors.rows(max(model.image_size)), noise)
+    problem = Adjustment(views, model, priors.rows(model.image_size), noise)
     found = _contenders(problem.believing(noise.known()), _starts(views, model, priors))
     # The departures of board and lens are too small to matter before.
     problem = replace(problem, departures=Departures.of(views.points, views.pixels, model.image_size))
@@ -146,9 +148,11 @@ def _ahead(problem: Adjustment, noise: Noise, found: Minimum[Geometry]) -> tuple
     # The state is one step ahead of the equations, the last, which is too short to matter.
     shared, local, _ = solve(equations, sigma**2, np.zeros(len(sigma)))
     squares = equations.squares_after(shared, local)
-    prior, _ = problem.constraint(found.state.theta + shared)
+    priors = problem.constraint
+    assert isinstance(priors, PriorRows)
+    prior_squares = priors.squares(found.state.theta + shared)
     noise = noise.repeat(len(sigma))
-    return float(noise.scatter(squares)[-1]), float(noise.objective(squares, (prior**2).sum(axis=1)).min())
+    return float(noise.scatter(squares)[-1]), float(noise.objective(squares, prior_squares).min())
 
 
 def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> Geometry:
@@ -170,7 +174,8 @@ def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> Geometry:
     R, t = planar_poses(A_inv @ H, views.points, rays, views.weights)
     theta = np.zeros((len(f), 8))
     theta[:, 0] = np.log(f)
-    theta[:, 4:6] = priors.radial.mean(np.log(f / width))[0]
+    lenses = Lenses.of(priors.radial)
+    theta[:, 4:6] = lenses.share @ lenses.means(model.diagonal / 2 / f)[0]
     count = len(views.points)
     R, t = np.swapaxes(R, 1, 2), np.swapaxes(t, 1, 2)  # (F, 2, V, ...)
     return Geometry(np.repeat(theta, 2, axis=0), R.reshape(-1, count, 3, 3), t.reshape(-1, count, 3))

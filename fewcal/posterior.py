@@ -37,7 +37,7 @@ class Posterior(NamedTuple):
         Information of each view.
     prior : (S, S)
         Information of the priors at the mean of their precision, given the views.
-    against_prior : (K,)
+    against_prior : (S,)
         How far each normal prior is from what everything else says, in standard deviations of the two
         together; zero for the others, which give way.
     """
@@ -65,17 +65,22 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
     J, r = reduced[..., :-1], reduced[..., -1]
     data = J.reshape(-1, J.shape[-1])
     found = moments(data, r.ravel(), tails)
-    prior = tails.by_unknowns
+    normal = tails.by_unknowns if tails.normal is None else tails.normal
+    # Alternatives are as wide as all of them together, whichever it is in the end.
+    of_one = tails.group[-len(normal) :] >= len(tails.height)
+    precision = np.where(of_one, found.precision[-len(normal) :], 1.0)
     near = np.sqrt(found.precision)
     left_out = leave_one_out(
-        np.concatenate([data, near[:, None] * prior]), np.concatenate([r.ravel(), near * tails.z])
+        np.concatenate([data, near[:, None] * tails.by_unknowns]),
+        np.concatenate([r.ravel(), near * tails.z]),
     )
+    against = np.where(np.isinf(tails.nu[tails.group]), left_out[len(data) :], 0.0)
     return Posterior(
         found.covariance,
-        covariance_from_rows(prior),
+        covariance_from_rows(normal),
         np.swapaxes(J, -1, -2) @ J,
-        prior.T @ (found.precision[:, None] * prior),
-        np.where(np.isinf(tails.nu[tails.group]), left_out[len(data) :], 0.0),
+        normal.T @ (precision[:, None] * normal),
+        against[-len(normal) :],
     )
 
 

@@ -9,6 +9,7 @@ s sqrt(nu / (nu + 1)), and far from its centre as wide as one likes.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -26,6 +27,8 @@ _TABLE = 4096
 class Tails(NamedTuple):
     """Priors as normal rows of unknown precision, S unknowns in K rows of G distributions.
 
+    Of the first C distributions one holds, and it is not known which: the others have a precision of zero.
+
     Attributes
     ----------
     z : (K,)
@@ -35,12 +38,18 @@ class Tails(NamedTuple):
         To which distribution a row belongs; rows of one share its precision.
     nu : (G,)
         Degrees of freedom; infinite for a normal distribution, whose precision is 1.
+    height : (C,)
+        Logarithm of the probability of each of the first distributions times its density at its mean.
+    normal : (S, S), optional
+        Rows of a normal distribution as wide as all of these; they themselves when left out.
     """
 
     z: Array
     by_unknowns: Array
     group: NDArray[np.intp]
     nu: Array
+    height: Array = np.zeros(0)
+    normal: Array | None = None
 
 
 class Moments(NamedTuple):
@@ -70,7 +79,7 @@ def moments(J: Array, r: Array, tails: Tails) -> Moments:
     """
     counts = np.bincount(tails.group, minlength=len(tails.nu))
     squares = np.asarray(np.bincount(tails.group, tails.z**2, len(tails.nu)), dtype=np.float64)
-    precisions, expected, log_weight = _proposals(tails.nu, counts.astype(float), squares)
+    precisions, expected, log_weight = _proposals(tails.nu, counts.astype(float), squares, tails.height)
     near = np.sqrt(expected[tails.group])
     T, inverse, y = _reference(
         np.concatenate([J, near[:, None] * tails.by_unknowns]), np.concatenate([r, near * tails.z])
@@ -94,20 +103,38 @@ def moments(J: Array, r: Array, tails: Tails) -> Moments:
     return Moments(inverse @ second @ inverse.T, (weight @ precisions)[tails.group])
 
 
-def _proposals(nu: Array, counts: Array, squares: Array) -> tuple[Array, Array, Array]:
+def _proposals(nu: Array, counts: Array, squares: Array, height: Array) -> tuple[Array, Array, Array]:
     """Precisions (M, G), their expectation (G,), and the logarithm of their weight without data (M,).
 
     They are drawn half-way between the prior, Gamma(nu / 2, rate nu / 2), and the conditional at the
-    estimate, Gamma((nu + d) / 2, rate (nu + |z|^2) / 2).
+    estimate, Gamma((nu + d) / 2, rate (nu + |z|^2) / 2). Which of the alternatives holds is drawn half-way
+    between each as often and what it is at the estimate.
     """
     heavy = np.isfinite(nu)
     precisions, expected = np.ones((POINTS, len(nu))), np.ones(len(nu))
     nu, counts, squares = nu[heavy], counts[heavy], squares[heavy]
     shape, rate = nu / 2 + counts / 4, nu / 2 + squares / 4
-    drawn = _gamma_points(tuple(shape.tolist())) / rate
-    precisions[:, heavy], expected[heavy] = drawn, shape / rate
+    quantiles, spare = _gamma_points(tuple(shape.tolist()))
+    precisions[:, heavy], expected[heavy] = quantiles / rate, shape / rate
     # Density of the prior over that of the proposal, times the normalisation of the normal rows.
-    return precisions, expected, np.log(drawn) @ (counts / 4) + drawn @ (squares / 4)
+    log_weight = np.log(quantiles / rate) * (counts / 4) + quantiles / rate * (squares / 4)
+    if len(height) > 1:
+        own = slice(len(height))
+        at_estimate = height - (nu[own] + counts[own]) / 2 * np.log1p(squares[own] / nu[own])
+        likely = np.exp(at_estimate - at_estimate.max())
+        chance = (1 / len(height) + likely / likely.sum()) / 2
+        holds = np.searchsorted(np.cumsum(chance)[:-1], spare)[:, None] == np.arange(len(height))
+        constant = height - np.log(chance) + _log_gamma(shape[own]) - shape[own] * np.log(rate[own])
+        constant += nu[own] / 2 * np.log(nu[own] / 2) - _log_gamma(nu[own] / 2)
+        log_weight[:, own] = np.where(holds, log_weight[:, own] + constant, 0.0)
+        precisions[:, own] *= holds
+        expected[own] *= chance
+    return precisions, expected, log_weight.sum(axis=1)
+
+
+def _log_gamma(values: Array) -> Array:
+    """Logarithm of the gamma function of a few values."""
+    return np.array([math.lgamma(value) for value in values])
 
 
 def _inverted(matrices: Array) -> tuple[Array, Array]:
@@ -141,13 +168,16 @@ def _reference(J: Array, r: Array) -> tuple[Array, Array, Array]:
 
 
 @lru_cache(maxsize=16)
-def _gamma_points(shapes: tuple[float, ...]) -> Array:
-    """Quantiles (M, G) of gamma distributions of rate 1 at points spread evenly over the unit cube."""
-    points = _even_points(POINTS, len(shapes))
+def _gamma_points(shapes: tuple[float, ...]) -> tuple[Array, Array]:
+    """Quantiles (M, G) of gamma distributions of rate 1 at points spread evenly over the unit cube.
+
+    It has one dimension more, which comes second (M,).
+    """
+    points = _even_points(POINTS, len(shapes) + 1)
     columns = [gamma_quantile(points[:, i], shape) for i, shape in enumerate(shapes)]
     quantiles = np.stack(columns, axis=-1) if columns else np.empty((POINTS, 0))
     quantiles.setflags(write=False)
-    return quantiles
+    return quantiles, points[:, -1]
 
 
 def _even_points(count: int, dimension: int) -> Array:

@@ -87,7 +87,7 @@ def information(calibration: Calibration, priors: Priors = Priors()) -> Informat
     poses = np.stack(calibration.board_poses)
     rotation = poses[:, :3, :3]
     position = (rotation @ stack.centroid[..., None])[..., 0] + poses[:, :3, 3]
-    known = priors.rows(max(calibration.image_size))
+    known = priors.rows(calibration.image_size)
     departures = Departures.of(stack.points, stack.pixels, model.image_size)
     problem = Adjustment(stack, model, known, departures=departures)
     unknowns = np.append(theta, calibration.departures)

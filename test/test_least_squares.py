@@ -261,7 +261,8 @@ def test_agreement_with_scipy_on_a_reprojection_problem() -> None:
     board_poses = [pose(40, 20), pose(35, 130)]
     views = stack_views(noisy([view(T) for T in board_poses], 0.3, 1))
     model, priors = ScaleFree(SIZE), Priors()
-    problem = Adjustment(views, model, priors.rows(max(SIZE)), Noise.of(views, priors).known(0.3))
+    known = priors.rows(SIZE)
+    problem = Adjustment(views, model, known, Noise.of(views, priors).known(0.3))
     theta = model.theta(np.concatenate([CAMERA.intrinsics, CAMERA.distortion[:4]]))[None]
     off = np.array([0.05, 0.002, 0.01, -0.01, 0.02, 0.01, 0, 0])
     start = Geometry(theta + off, *geometry(board_poses))
@@ -270,8 +271,7 @@ def test_agreement_with_scipy_on_a_reprojection_problem() -> None:
         return problem.retract(start, x[None, :8], x[8:].reshape(1, 2, 6))
 
     def rows(x: Array) -> Array:
-        linear = problem.rows(at(x), 0.3)
-        return np.concatenate([linear.r.ravel(), linear.prior.ravel()])
+        return np.concatenate([problem.rows(at(x), 0.3).r.ravel(), np.sqrt(known.squares(at(x).theta))])
 
     ours = minimise(problem, start)
     theirs = least_squares(rows, np.zeros(20), x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)

@@ -200,7 +200,7 @@ def test_an_estimate_leaves_more_open_than_its_curvature_says() -> None:
     views = stack_views(noisy(views_at((40.0, 20.0)), 0.2, 1))
     found = estimate_map(views, SIZE, Priors())
     rows = found.adjustment.rows(found.geometry, found.sigma)
-    result = posterior(rows, Priors().rows(max(SIZE)).tails(found.geometry.theta[0]))
+    result = posterior(rows, Priors().rows(SIZE).tails(found.geometry.theta[0]))
     assert result.covariance.shape == (11, 11)
     laplace = gaussian_covariance(rows)
     ratio = np.sqrt(np.diagonal(result.covariance) / np.diagonal(laplace))

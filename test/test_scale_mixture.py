@@ -47,6 +47,25 @@ def test_moment_of_one_unknown_is_that_of_its_posterior(nu: float, z: float, sd:
     assert np.sqrt(found.covariance[0, 0]) == pytest.approx(np.sqrt(integrated(nu, z, sd, off)), rel=0.08)
 
 
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("sd", [0.1, 0.5, 3.0])
+def test_of_two_alternatives_each_counts_as_it_is_likely(share: float, sd: float) -> None:
+    # Two t, one of them three times as wide, both at some distance from the estimate.
+    nu, scale, z = np.array([2.0, 5.0]), np.array([0.3, 0.9]), np.array([1.0, -1.5])
+    height = np.log(np.array([share, 1 - share]) / scale)
+    tails = Tails(z, 1 / scale[:, None], np.array([0, 1]), nu, height)
+    # The density at the mean of a t in one dimension depends on its nu, of a bivariate one it does not.
+    tails = tails._replace(height=height + [student.logpdf(0, each) for each in nu])
+    found = moments(np.array([[1 / sd]]), np.array([0.2 / sd]), tails)
+    x = np.linspace(-60, 60, 400_001)
+    density = sum(
+        part * student.pdf(x / s + at, n) / s
+        for part, s, at, n in zip((share, 1 - share), scale, z, nu, strict=True)
+    ) * np.exp(-0.5 * ((x + 0.2) / sd) ** 2)
+    expected = np.sqrt((density * x**2).sum() / density.sum())
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(expected, rel=0.1)
+
+
 def test_a_normal_prior_is_exact() -> None:
     found = moments(np.array([[2.0]]), np.array([0.0]), one(np.inf, 0.0, 0.5))
     assert found.covariance[0, 0] == pytest.approx(1 / 8, rel=1e-12)

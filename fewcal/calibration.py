@@ -23,12 +23,14 @@ from .parametrisation import PixelModel, ScaleFree
 from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
 from .posterior import NAMES, determined_share, gaussian_covariance, posterior, projection_std
 from .prior_rows import PriorRows
-from .verdict import Evidence, Thresholds, Verdict, extent, judge, tilt_deg
+from .verdict import Evidence, Thresholds, Verdict, extent, judge, outside, tilt_deg
 from .views import View, stack_views
 from .zhu2020 import estimate_zhang, estimate_zhu2020
 
 Array = NDArray[np.float64]
 
+LARGEST_IMAGE = 2**31 - 1
+"""Width and height, pixels, that file formats and OpenCV can hold."""
 METHODS = ("map", "zhu2020", "zhang")
 """The default estimator, the paper's, and the one the paper compares itself with."""
 
@@ -167,9 +169,9 @@ def calibrate(
     for name, value, kind in (("priors", priors, Priors), ("thresholds", thresholds, Thresholds)):
         if not isinstance(value, kind):
             raise InvalidInput(f"{name} must be fewcal.{kind.__name__}, not {value!r}.")
-    stack = stack_views(views)
+    stack, alike = stack_views(views), copies(views, size)
     if method == "map":
-        found = estimate_map(stack, size, priors, copies(views, size))
+        found = estimate_map(stack, size, priors, alike)
     elif method == "zhu2020":
         found = estimate_zhu2020(stack, size)
     elif method == "zhang":
@@ -182,7 +184,7 @@ def calibrate(
         solution = _map_solution(found, rows, model)
     else:
         solution = _pixel_solution(found, rows, model, size, priors)
-    return _result(found, rows, solution, views, size, method, thresholds)
+    return _result(found, rows, solution, views, alike, size, method, thresholds)
 
 
 @dataclass(frozen=True)
@@ -212,6 +214,7 @@ def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
     known = found.adjustment.constraint
     assert isinstance(known, PriorRows)
     result = posterior(rows, known.tails(found.geometry.theta[0]))
+    distance = known.distance(found.geometry.theta[0])
     J = model.natural_jacobian(theta)
     return _Solution(
         camera,
@@ -219,9 +222,9 @@ def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
         0.0,
         found.sigma,
         found.geometry.theta[0, model.size :],
-        J @ result.covariance[:8, :8] @ J.T,
+        _propagated(result.covariance[:8, :8], J),
         {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)[:8]).items()},
-        _worst_by_name(known.distance(found.geometry.theta[0])[: model.size]),
+        _worst_by_name(np.maximum(distance, np.abs(result.against_prior))[: model.size]),
     )
 
 
@@ -234,12 +237,18 @@ def _pixel_solution(
     sigma = float(np.sqrt(Noise.of(found.adjustment.views, priors).variance(squares)[0]))
     covariance: Array | None = None
     if model.tangential:
-        of_theta = gaussian_covariance(rows)
-        J = plumb_bob_jacobian(theta)
-        known = np.isfinite(of_theta).all()
-        covariance = J @ of_theta @ J.T * (sigma / found.sigma) ** 2 if known else np.full((8, 8), np.inf)
+        of_theta = gaussian_covariance(rows) * (sigma / found.sigma) ** 2
+        covariance = _propagated(of_theta, plumb_bob_jacobian(theta))
     camera = nearest_plumb_bob(theta[:5], coefficients, size)
     return _Solution(camera, coefficients, float(theta[4]), sigma, np.zeros(COUNT), covariance, None, {})
+
+
+def _propagated(covariance: Array, J: Array) -> Array:
+    """Covariance (8, 8) through a Jacobian (8, S); infinite where a part of it is."""
+    if not np.isfinite(covariance).all():
+        return np.full((len(J), len(J)), np.inf)
+    propagated: Array = J @ covariance @ J.T
+    return propagated
 
 
 def _worst_by_name(values: Array) -> dict[str, float]:
@@ -255,6 +264,7 @@ def _result(
     rows: Rows,
     solution: _Solution,
     views: tuple[View, ...],
+    alike: Array,
     size: tuple[int, int],
     method: str,
     thresholds: Thresholds,
@@ -267,6 +277,8 @@ def _result(
     evidence = Evidence(
         rotations=poses[:, :3, :3],
         extents=np.array([extent(view.image_points, size) for view in views]),
+        copies=alike,
+        outside_px=max(outside(view.image_points, size) for view in views),
         camera=solution.camera,
         image_size=size,
         sigma_px=solution.sigma_px,
@@ -326,4 +338,6 @@ def _checked_size(image_size: tuple[int, int]) -> tuple[int, int]:
         raise InvalidInput(f"image_size must be (width, height) in pixels, not {image_size!r}.") from None
     if width < 1 or height < 1:
         raise InvalidInput(f"image_size must be positive, not {width}x{height}.")
+    if max(width, height) > LARGEST_IMAGE:
+        raise InvalidInput(f"image_size must be at most {LARGEST_IMAGE} pixels, not {width}x{height}.")
     return width, height

@@ -44,7 +44,7 @@ def simplified_intrinsics(H: Array, principal_point: Array, held: bool = False) 
             squared = -v12[..., 3] / v12[..., 0]
         return np.concatenate([squared[..., None], np.broadcast_to(centre, (*squared.shape, 2))], axis=-1)
     # Pixels as the unit would spread the entries of b over six decades; the image size does not.
-    size = np.linalg.norm(centre)
+    size = max(float(np.linalg.norm(centre)), 1.0)
     H = np.diag([1 / size, 1 / size, 1.0]) @ H
     H = H / np.linalg.norm(H, axis=(-2, -1), keepdims=True)
     rows = np.concatenate([_v(H, 0, 1), _v(H, 0, 0) - _v(H, 1, 1)], axis=-2)
@@ -97,7 +97,7 @@ def checked_focal_length(squared: float) -> float:
     if not (np.isfinite(squared) and squared > 0):
         raise ImaginaryFocalLength(
             f"The closed form gives f^2 = {squared:.3g} px^2, so this method finds no focal length in these "
-            'views; tilt the board by 30 deg or more, or use method "map".'
+            'views; add one with the board tilted by 30 deg or more about another axis, or use method "map".'
         )
     return float(np.sqrt(squared))
 

@@ -14,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import require_numbers, require_pair
 from .errors import InvalidInput
 from .prior_rows import PriorRows
 from .radial_prior import LENSES, RadialPrior
@@ -24,16 +25,6 @@ ASPECT_TOLERANCE_PX = 50.0
 """The constant a of eq 29, pixels, as in the paper's experiments (section 5)."""
 LARGEST_EXPONENT = 50.0
 """Bound of the exponent of eq 29; beyond it the penalty would overflow long before it mattered."""
-
-
-def _require_finite(name: str, numbers: tuple[float, ...], positive: tuple[float, ...]) -> None:
-    if not all(math.isfinite(x) for x in (*numbers, *positive)) or not all(x > 0 for x in positive):
-        raise InvalidInput(f"{name} needs finite numbers, with widths above zero.")
-
-
-def _require_pair(name: str, pair: tuple[float, float]) -> None:
-    if len(pair) != 2 or not all(math.isfinite(x) and x > 0 for x in pair):
-        raise InvalidInput(f"Priors.{name} must be two positive numbers, mean and standard deviation.")
 
 
 @dataclass(frozen=True)
@@ -50,7 +41,7 @@ class Normal:
     sd: float
 
     def __post_init__(self) -> None:
-        _require_finite("Normal", (self.mean, self.sd), (self.sd,))
+        require_numbers("Normal", [self.mean], positive=[self.sd])
 
     @property
     def nu(self) -> float:
@@ -81,7 +72,7 @@ class StudentT:
     mean: float = 0.0
 
     def __post_init__(self) -> None:
-        _require_finite("StudentT", (self.nu, self.scale, self.mean), (self.nu, self.scale))
+        require_numbers("StudentT", [self.mean], positive=[self.nu, self.scale])
 
 
 Distribution: TypeAlias = Normal | StudentT
@@ -128,10 +119,14 @@ class Priors:
     corner_sigma_px: tuple[float, float] = (0.25, 1.0)
 
     def __post_init__(self) -> None:
+        for name in _SINGLE:
+            if not isinstance(getattr(self, name), (Normal, StudentT)):
+                raise InvalidInput(f"Priors.{name} must be fewcal.Normal or fewcal.StudentT.")
         if self.focal_px is not None:
-            _require_pair("focal_px", self.focal_px)
-        _require_pair("corner_sigma_px", self.corner_sigma_px)
-        if not self.radial or not all(isinstance(each, RadialPrior) for each in self.radial):
+            require_pair("Priors.focal_px", self.focal_px, positive=True)
+        require_pair("Priors.corner_sigma_px", self.corner_sigma_px, positive=True)
+        kinds = self.radial if isinstance(self.radial, tuple) else ()
+        if not kinds or not all(isinstance(each, RadialPrior) for each in kinds):
             raise InvalidInput("Priors.radial must be a tuple of one fewcal.RadialPrior or more.")
 
     def focal(self, width: float) -> Distribution:
@@ -158,6 +153,17 @@ class Priors:
         mean[0] += math.log(max(image_size))
         return PriorRows.of(mean, scale, nu, self.radial, math.log(math.hypot(*image_size) / 2))
 
+
+_SINGLE = (
+    "log_focal_over_width",
+    "log_aspect",
+    "principal_point_x",
+    "principal_point_y",
+    "tangential",
+    "board_bend",
+    "lens_remainder",
+)
+"""Fields of :class:`Priors` that are distributions of one number."""
 
 PRIOR_ROWS = (
     "focal length",

@@ -31,12 +31,32 @@ def copies(views: Sequence[View], image_size: tuple[int, int]) -> NDArray[np.flo
     -------
     (V,)
     """
-    if len(views) == 1:
-        return np.ones(1)
-    points, scale = align_views(views), SAME_PLACE * np.hypot(*image_size)
-    apart = np.stack([distances(points, i) for i in range(len(views))])
-    alike: NDArray[np.float64] = np.exp(-0.5 * (apart / scale) ** 2)
-    return np.asarray(np.maximum(alike.sum(axis=1), 1))  # a view without points is nowhere
+    count, scale = np.ones(len(views)), SAME_PLACE * np.hypot(*image_size)
+    for group in _of_one_board(views):
+        points = align_views([views[i] for i in group])
+        apart = np.stack([distances(points, i) for i in range(len(group))])
+        alike = np.exp(-0.5 * (apart / scale) ** 2).sum(axis=1)
+        count[group] = np.maximum(alike, 1)  # a view without points is nowhere
+    return count
+
+
+def _of_one_board(views: Sequence[View]) -> list[NDArray[np.intp]]:
+    """Indices of views that have points in common, directly or through others, in groups of two or more."""
+    if all(np.array_equal(view.object_points, views[0].object_points) for view in views):
+        board = np.zeros(len(views), dtype=np.intp)
+    else:
+        everything = np.concatenate([view.object_points for view in views])
+        points, column = np.unique(everything, axis=0, return_inverse=True)
+        view, column = np.repeat(np.arange(len(views)), [len(view) for view in views]), column.ravel()
+        board, before = np.arange(len(views)), np.full(len(views), -1)
+        while np.any(board != before):
+            before = board.copy()
+            of_point = np.full(len(points), len(views))
+            np.minimum.at(of_point, column, board[view])
+            np.minimum.at(board, view, of_point[column])
+            board = board[board]
+    groups = [np.flatnonzero(board == first) for first in np.unique(board)]
+    return [group for group in groups if len(group) > 1]
 
 
 def share_weight(stack: ViewStack, count: NDArray[np.float64]) -> ViewStack:

@@ -203,10 +203,10 @@ def undistort(points: Array, coefficients: Array) -> Array:
     """
     radius = np.hypot(points[..., 0], points[..., 1])
     undistorted_radius = _undistort_radius(radius, coefficients)
-    xy = points * (undistorted_radius / np.where(radius > 0, radius, 1))[..., None]
-    scale = np.maximum(undistorted_radius, np.finfo(float).tiny)
-    upright = np.ones(xy.shape[:-1], dtype=bool)
     with np.errstate(invalid="ignore", over="ignore"):
+        xy = points * (undistorted_radius / np.where(radius > 0, radius, 1))[..., None]
+        scale = np.maximum(undistorted_radius, np.finfo(float).tiny)
+        upright = np.ones(xy.shape[:-1], dtype=bool)
         for _ in range(_NEWTON_STEPS):
             error = distort(xy, coefficients) - points
             J, _ = distort_jacobians(xy, coefficients)

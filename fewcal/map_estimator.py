@@ -68,6 +68,7 @@ _FINE = Tolerances(decrease=3e-10, relative=0.0, iterations=1500, damping=1e-6, 
 """Exact points at a small angle leave a long, narrow valley; views that a camera saw take a few steps."""
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def estimate_map(
     views: ViewStack, image_size: tuple[int, int], priors: Priors, count: Array | None = None
 ) -> Estimate:
@@ -208,6 +209,7 @@ def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     equations, arrangement, source = take(equations, allowed), arrangement[allowed], source[allowed]
     variance = problem.variance(equations.squares[:1]).repeat(len(allowed))
     damping = np.full(len(allowed), _COARSE.damping)
+    # Rounding can make the difference of two huge costs negative.
     foreseen = equations.cost(variance) - solve(equations, variance, damping)[2]
     kept = _lowest(foreseen, arrangement, RUNNERS)
     kept = kept[foreseen[kept] <= PROMISING * foreseen.min() + HOPELESS]
@@ -219,7 +221,7 @@ def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     several = problem.believing(problem.noise.repeat(len(kept)))
     found = minimise(several, runners, _COARSE, race=True, equations=take(equations, kept))
     kept = _lowest(found.objective, arrangement, 1)
-    kept = kept[found.objective[kept] < found.objective.min() + HOPELESS]
+    kept = kept[found.objective[kept] <= found.objective.min() + HOPELESS]
     return found.take(kept)
 
 

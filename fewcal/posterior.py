@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 """The parameters of a camera that have error bars, in the order of the covariance."""
+SOLE_EVIDENCE = 1e-10
+"""One less the leverage of a row, below which rounding decides what is left of it."""
 
 
 class Posterior(NamedTuple):
@@ -35,12 +37,16 @@ class Posterior(NamedTuple):
         Information of each view.
     prior : (S, S)
         Information of the priors at the mean of their precision, given the views.
+    against_prior : (S,)
+        How far each normal prior is from what everything else says, in standard deviations of the two
+        together; zero for the others, which give way.
     """
 
     covariance: Array
     prior_covariance: Array
     views: Array
     prior: Array
+    against_prior: Array
 
 
 def posterior(rows: Rows, tails: Tails) -> Posterior:
@@ -57,17 +63,48 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
     """
     reduced = camera_rows(rows)
     J, r = reduced[..., :-1], reduced[..., -1]
-    found = moments(J.reshape(-1, J.shape[-1]), r.ravel(), tails)
+    data = J.reshape(-1, J.shape[-1])
+    found = moments(data, r.ravel(), tails)
     normal = tails.by_unknowns if tails.normal is None else tails.normal
     # Alternatives are as wide as all of them together, whichever it is in the end.
     of_one = tails.group[-len(normal) :] >= len(tails.height)
     precision = np.where(of_one, found.precision[-len(normal) :], 1.0)
+    near = np.sqrt(found.precision)
+    left_out = leave_one_out(
+        np.concatenate([data, near[:, None] * tails.by_unknowns]),
+        np.concatenate([r.ravel(), near * tails.z]),
+    )
+    against = np.where(np.isinf(tails.nu[tails.group]), left_out[len(data) :], 0.0)
     return Posterior(
         found.covariance,
         covariance_from_rows(normal),
         np.swapaxes(J, -1, -2) @ J,
         normal.T @ (precision[:, None] * normal),
+        against[-len(normal) :],
     )
+
+
+def leave_one_out(J: Array, r: Array) -> Array:
+    """Residual of each row against what all others say, over its standard deviation.
+
+    What is left of a row at the least-squares solution, over the root of one less its leverage (the
+    studentised residual; Cook and Weisberg 1982, chapter 2). A row that decides alone leaves nothing at the
+    solution, whatever the others say.
+
+    Parameters
+    ----------
+    J : (M, S), r : (M,)
+        Linear rows of unit variance that hold every unknown.
+
+    Returns
+    -------
+    (M,) zero where no other row speaks of what a row says.
+    """
+    Q = np.asarray(np.linalg.qr(J / np.linalg.norm(J, axis=0))[0])
+    freedom = 1 - (Q * Q).sum(axis=1)
+    left = r - Q @ (r @ Q)
+    alone = freedom < SOLE_EVIDENCE
+    return np.asarray(np.where(alone, 0.0, left / np.sqrt(np.where(alone, 1.0, freedom))))
 
 
 def gaussian_covariance(rows: Rows) -> Array:

@@ -5,13 +5,13 @@ With rc = half the image diagonal / fx, the scale-free radial terms are a1 = k1 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import is_covariance, require_numbers, require_pair
 from .errors import InvalidInput
 
 Array = NDArray[np.float64]
@@ -45,11 +45,11 @@ class RadialPrior:
     share: float = 1.0
 
     def __post_init__(self) -> None:
-        positive = (self.nu, self.share)
-        if not all(map(math.isfinite, (*self.terms, *self.k, *positive))) or min(positive) <= 0:
-            raise InvalidInput("RadialPrior needs finite numbers, with nu and share above zero.")
-        if np.shape(self.covariance) != (2, 2) or not np.all(np.linalg.eigvalsh(self.covariance) > 0):
-            raise InvalidInput("RadialPrior.covariance must be a positive definite 2x2 matrix.")
+        require_numbers("RadialPrior", [], positive=[self.nu, self.share])
+        require_pair("RadialPrior.terms", self.terms)
+        require_pair("RadialPrior.k", self.k)
+        if not is_covariance(self.covariance):
+            raise InvalidInput("RadialPrior.covariance must be a symmetric positive definite 2x2 matrix.")
 
 
 LENSES = (

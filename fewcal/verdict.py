@@ -8,17 +8,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
 from .distortion import surely_invertible
+from .errors import InvalidInput
 
 Array = NDArray[np.float64]
 
 
+DISTINCT = 1.5
+"""Number of different views, copies counted once, below which there is but one."""
+OUTSIDE_PX = 1.0
+"""Distance outside the image that a detector may place a corner of the image's border, pixels."""
 _ANGLES = np.arange(32) * np.pi / 32
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 """In which an extent is looked at, (2, 32)."""
@@ -54,6 +60,11 @@ class Thresholds:
     conflict: float = 3.0
     settled_share: float = 0.99
 
+    def __post_init__(self) -> None:
+        # Infinity is a threshold that nothing reaches.
+        if not all(isinstance(value, Real) and not math.isnan(value) for value in astuple(self)):
+            raise InvalidInput(f"Thresholds are numbers, not {self!r}.")
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -78,6 +89,9 @@ class Evidence:
     ----------
     rotations : (V, 3, 3) from board to camera
     extents : (V,) of each view, see :func:`extent`
+    copies : (V,) views that show the board where each does, see :func:`fewcal.copies.copies`
+    outside_px : float
+        Largest distance of a point outside the image, pixels.
     camera : Camera
     image_size : (width, height), pixels
     sigma_px : float
@@ -91,6 +105,8 @@ class Evidence:
 
     rotations: Array
     extents: Array
+    copies: Array
+    outside_px: float
     camera: Camera
     image_size: tuple[int, int]
     sigma_px: float
@@ -102,19 +118,22 @@ class Evidence:
 def judge(evidence: Evidence, thresholds: Thresholds = Thresholds()) -> Verdict:
     """Decide whether a calibration is usable, and say why when it is not."""
     reasons = (
-        *degeneracies(evidence.rotations, evidence.extents, thresholds),
+        *degeneracies(evidence.rotations, evidence.extents, evidence.copies, thresholds),
         *_doubts(evidence, thresholds),
     )
     return Verdict(not reasons, reasons)
 
 
-def degeneracies(rotations: Array, extents: Array, thresholds: Thresholds = Thresholds()) -> Iterator[str]:
+def degeneracies(
+    rotations: Array, extents: Array, copies: Array, thresholds: Thresholds = Thresholds()
+) -> Iterator[str]:
     """Name the arrangements of views that leave a camera undetermined.
 
     Parameters
     ----------
     rotations : (V, 3, 3) from board to camera
     extents : (V,) of each view, see :func:`extent`
+    copies : (V,) views that show the board where each does, see :func:`fewcal.copies.copies`
     thresholds : Thresholds
     """
     tilts = tilt_deg(rotations)
@@ -122,6 +141,11 @@ def degeneracies(rotations: Array, extents: Array, thresholds: Thresholds = Thre
         yield (
             f"Fronto-parallel: the board is within {_up(tilts.max())} deg of parallel to the image, which "
             "says nothing of the focal length; tilt it by 30 deg or more."
+        )
+    elif len(rotations) > 1 and (1 / copies).sum() < DISTINCT:
+        yield (
+            f"The same view again: the {len(rotations)} views show the board in one place, so they count as "
+            "one; tilt the board by 30 deg about another axis."
         )
     elif len(rotations) > 1:
         yield from _parallel(rotations, thresholds)
@@ -146,6 +170,12 @@ def extent(pixels: Array, image_size: tuple[int, int]) -> float:
     """
     seen = np.ptp(pixels @ _DIRECTIONS, axis=0).max()
     return float(seen) / math.hypot(*image_size)
+
+
+def outside(pixels: Array, image_size: tuple[int, int]) -> float:
+    """Largest distance of one of some pixels (N, 2) outside the image; negative or zero inside."""
+    border = np.array(image_size) - 0.5
+    return float(np.maximum(-0.5 - pixels, pixels - border).max())
 
 
 def folds_inside(camera: Camera, image_size: tuple[int, int]) -> bool:
@@ -177,15 +207,21 @@ def _doubts(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
     if evidence.sigma_px > thresholds.sigma_px:
         yield (
             f"The points miss the camera by {evidence.sigma_px:.1f} px (one sigma), more than any board or "
-            "lens explains; check that points and board belong together, the board is flat and every prior "
-            "true."
+            "lens explains; check that points and board belong together, the board is flat, the lens no "
+            "fisheye and every prior true."
+        )
+    if evidence.outside_px > OUTSIDE_PX:
+        width, height = evidence.image_size
+        yield (
+            f"Points lie outside the image of {width}x{height}, by up to {evidence.outside_px:.0f} px; check "
+            "that the size is width and height of the image that they were found in."
         )
     for name, residual in evidence.conflicts.items():
         if residual > thresholds.conflict:
             yield (
-                f"The {name} contradicts what is known of cameras by {residual:.1f} standard deviations; "
-                "check that board and square size are right and the image is neither cropped nor scaled, add "
-                "views, or state other priors."
+                f"The {name} contradicts what was known beforehand by {residual:.1f} standard deviations; "
+                "check that the board is flat, its squares square and the image not cropped, add views, or "
+                "state other priors."
             )
     if folds_inside(evidence.camera, evidence.image_size):
         radius = evidence.camera.fold_radius_px

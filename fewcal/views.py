@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .checks import LARGEST
 from .errors import InvalidInput
 
 PLANARITY_TOLERANCE = 1e-6
@@ -32,7 +33,8 @@ class View:
         The same points in the image, pixels, the centre of the first pixel at (0, 0).
     sigma : array_like, scalar or (N,), optional
         One standard deviation of an image point in either direction, pixels. Used as relative weights; the
-        common scale is estimated with the camera. Equal for all points when left out.
+        common scale is estimated with the camera. Equal for all points when left out, and then that of an
+        average point of those views that have it.
     source : str
         Where the view comes from, such as a file name or topic.
     stamp_ns : int, optional
@@ -174,8 +176,11 @@ def stack_views(views: Sequence[View]) -> ViewStack:
         pixels[i, :, :count] = view.image_points.T
         # Padding lies at the centroid, in front of every camera.
         weights[i, :count] = 1 if view.sigma is None else 1 / np.hypot(view.sigma, UNEXPLAINED_PX)
-    if not any(view.sigma is None for view in views):
-        weights /= np.sqrt((weights**2).sum() / (weights > 0).sum())
+    # Views without sigmas weigh as much as those with sigmas do on average.
+    given = [i for i, view in enumerate(views) if view.sigma is not None and len(view)]
+    if given:
+        squares = weights[given] ** 2
+        weights[given] /= np.sqrt(squares.sum() / (squares > 0).sum())
     return ViewStack(points, centroid, plane, pixels, weights)
 
 
@@ -186,6 +191,8 @@ def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:
         raise InvalidInput(f"{name} must be an array of numbers.") from None
     if not np.all(np.isfinite(array)):
         raise InvalidInput(f"{name} holds a value that is not finite; leave such points out.")
+    if array.size and np.abs(array).max() > LARGEST:
+        raise InvalidInput(f"{name} holds a value beyond {LARGEST:g}; leave such points out.")
     return array
 
 

@@ -184,6 +184,42 @@ def test_the_order_of_views_and_points_does_not_matter(seed: int, count: int) ->
     np.testing.assert_allclose(two.view_rms, one.view_rms[order], rtol=1e-5)
 
 
+@few
+@given(seed=st.integers(0, 1000), count=st.sampled_from([1, 2, 4]), turned=st.booleans())
+def test_turning_or_mirroring_the_picture_turns_or_mirrors_the_camera(
+    seed: int, count: int, turned: bool
+) -> None:
+    # Half a turn of the picture, or board and picture in a mirror. The priors know neither.
+    views = noisy(views_at(*FIVE[:count]), 0.2, seed)
+    board, image = ([1, 1, 1], [-1, -1]) if turned else ([-1, 1, 1], [-1, 1])
+    border = np.array([SIZE[0] - 1, SIZE[1] - 1 if turned else 0])
+    other = [View(v.object_points * board, v.image_points * image + border) for v in views]
+    one, two = calibrate(views, SIZE), calibrate(other, SIZE)
+    k1, k2, p1, p2, _ = one.camera.distortion
+    np.testing.assert_allclose(two.camera.intrinsics[:2], one.camera.intrinsics[:2], rtol=1e-5)
+    np.testing.assert_allclose(
+        two.camera.intrinsics[2:] * image + border, one.camera.intrinsics[2:], atol=1e-2
+    )
+    expected = [k1, k2, p1 * image[1], p2 * image[0], 0]
+    np.testing.assert_allclose(two.camera.distortion, expected, rtol=1e-4, atol=1e-5)
+    assert two.std == pytest.approx(one.std, rel=1e-3)
+    assert two.verdict.usable == one.verdict.usable
+
+
+@few
+@given(seed=st.integers(0, 1000), quarters=st.integers(1, 3), shift=st.floats(-100, 100))
+def test_which_corner_the_board_is_counted_from_does_not_matter(
+    seed: int, quarters: int, shift: float
+) -> None:
+    views = noisy(views_at(*FIVE[:2]), 0.2, seed)
+    quarter = np.linalg.matrix_power(np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]), quarters)
+    other = [View(v.object_points @ quarter + shift, v.image_points) for v in views]
+    one, two = calibrate(views, SIZE), calibrate(other, SIZE)
+    np.testing.assert_allclose(parameters(two.camera), parameters(one.camera), rtol=1e-5, atol=1e-5)
+    # The points that error bars are averaged over know x from y.
+    assert two.focal_std == pytest.approx(one.focal_std, rel=0.02)
+
+
 # --- error bars --------------------------------------------------------------------------------------------
 
 
@@ -280,6 +316,18 @@ def test_a_false_focal_length_is_a_conflict() -> None:
     assert any("focal length contradicts" in reason for reason in doubtful.verdict.reasons)
 
 
+@pytest.mark.parametrize("views", [1, 2, 5])
+@pytest.mark.parametrize("sd", [0.03, 0.005, 1e-3, 1e-4, 1e-6])
+def test_a_false_focal_length_is_not_usable_however_surely_it_is_stated(views: int, sd: float) -> None:
+    # The surer a prior the less is left of it at the estimate; the points are what it has to be held against.
+    seen = noisy(views_at(*FIVE[:views]), 0.2, 1)
+    found = calibrate(seen, SIZE, priors=Priors(focal_px=(1300, 1300 * sd)))
+    assert not found.verdict.usable or found.camera.fx == pytest.approx(1100, rel=0.01)
+    assert found.prior_conflicts["focal length"] > 3
+    right = calibrate(seen, SIZE, priors=Priors(focal_px=(1100, 1100 * sd)))
+    assert right.prior_conflicts == {}
+
+
 def test_a_conflict_far_out_in_the_tail_of_a_prior_is_not_settled() -> None:
     # A t prior is nearly flat out there; measured at the estimate it seems to have said nothing.
     views = noisy(views_at((40, 30), (35, 120)), 0.2, 0)
@@ -352,6 +400,7 @@ def test_pixel_distortion_says_the_same_as_the_camera() -> None:
 
 DEGENERATE = {
     "Fronto-parallel": [pose(1, 0), pose(2, 90)],
+    "The same view again": [pose(30, 0), pose(30, 0), pose(30, 0)],
     "Parallel planes": [pose(30, 0), pose(30, 0, shift_px=(200, 100), span=0.3)],
     "Turn about the normal": [pose(30, 0), pose(30, 0, 60)],
     "Board too small": [pose(40, 30, span=0.1), pose(35, 120, span=0.1)],

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import BOARD, SIZE, noisy, views_at
 
 from fewcal.calibration import METHODS, calibrate
-from fewcal.errors import DegenerateViews, ImaginaryFocalLength, InvalidInput
+from fewcal.constraints import Distribution, Normal, Priors, StudentT
+from fewcal.errors import DegenerateViews, FewcalError, ImaginaryFocalLength, InvalidInput
 from fewcal.views import View
 
 ONE = views_at((40, 30))
@@ -29,6 +32,11 @@ def test_image_size_of_the_wrong_kind(size: object) -> None:
 def test_image_size_of_nothing(size: tuple[int, int]) -> None:
     with pytest.raises(InvalidInput, match="image_size must be positive, not"):
         calibrate(ONE, size)
+
+
+def test_image_size_beyond_any_camera() -> None:
+    with pytest.raises(InvalidInput, match="image_size must be at most 2147483647 pixels"):
+        calibrate(ONE, (1280, 10**30))
 
 
 def test_image_size_of_numpy_integers() -> None:
@@ -60,6 +68,56 @@ def test_a_generator_of_views_will_do() -> None:
     assert len(found.views) == 1
 
 
+PLAIN = noisy(views_at((40, 30), (35, 120)), 0.2, 1)
+SPREAD = np.random.default_rng(1).uniform(-12, 12, 54)
+HOSTILE = {
+    "far outside": [View(v.object_points, v.image_points + 1e6) for v in PLAIN],
+    "huge": [View(v.object_points, v.image_points * 1e9) for v in PLAIN],
+    "a speck": [View(v.object_points, 500 + v.image_points * 1e-6) for v in PLAIN],
+    "mixed up": [View(v.object_points, v.image_points[np.argsort(SPREAD)]) for v in PLAIN],
+    "sigmas of all sizes": [View(v.object_points, v.image_points, 10.0**SPREAD) for v in PLAIN],
+    "one far point": [
+        View(v.object_points, v.image_points + 1e3 * (np.arange(54) == 5)[:, None]) for v in PLAIN
+    ],
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("case", HOSTILE)
+@pytest.mark.parametrize("size", [SIZE, (1, 1), (20_000, 15_000)])
+def test_whatever_the_points_there_is_a_camera_or_an_error_with_a_name(
+    method: str, case: str, size: tuple[int, int]
+) -> None:
+    try:
+        found = calibrate(HOSTILE[case], size, method=method)
+    except FewcalError:
+        return
+    assert np.isfinite([*found.camera.intrinsics, *found.camera.distortion, found.rms, found.sigma_px]).all()
+    assert not np.isnan(np.array(list((found.std or {"fx": 1.0}).values()))).any()
+    if case != "sigmas of all sizes":
+        assert not found.verdict.usable
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("prior", [Normal(50, 0.01), Normal(-1e4, 1), Normal(0, 1e-20), StudentT(1e-6, 1e12)])
+@pytest.mark.parametrize(
+    "name", ["log_focal_over_width", "log_aspect", "principal_point_y", "tangential", "board_bend"]
+)
+def test_whatever_the_prior_there_is_a_camera_or_an_error_with_a_name(name: str, prior: Distribution) -> None:
+    try:
+        found = calibrate(PLAIN, SIZE, priors=replace(Priors(), **{name: prior}))
+    except FewcalError:
+        return
+    assert np.isfinite([*found.camera.intrinsics, *found.camera.distortion, found.rms, found.sigma_px]).all()
+
+
+def test_points_outside_the_image_are_named() -> None:
+    found = calibrate(PLAIN, SIZE[::-1])
+    (reason,) = (text for text in found.verdict.reasons if "outside" in text)
+    assert reason.startswith("Points lie outside the image of 960x1280")
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("bad", "message"),
@@ -83,5 +141,5 @@ def test_points_that_do_not_belong_together() -> None:
 
 
 def test_no_focal_length_in_closed_form() -> None:
-    with pytest.raises(ImaginaryFocalLength, match='tilt the board by 30 deg or more, or use method "map"'):
+    with pytest.raises(ImaginaryFocalLength, match='about another axis, or use method "map"'):
         calibrate(ONE, SIZE, method="zhang")

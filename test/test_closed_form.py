@@ -104,7 +104,7 @@ def test_zhang_finds_no_focal_length_in_one_view() -> None:
 
 @pytest.mark.parametrize("squared", [0.0, -4.0, np.nan, np.inf, -np.inf])
 def test_what_has_no_root_is_refused_by_name(squared: float) -> None:
-    with pytest.raises(ImaginaryFocalLength, match="finds no focal length in these views; tilt the board"):
+    with pytest.raises(ImaginaryFocalLength, match="finds no focal length in these views; add one"):
         checked_focal_length(squared)
     assert issubclass(ImaginaryFocalLength, DegenerateViews)
 

@@ -57,6 +57,13 @@ def test_priors_can_be_replaced_one_by_one() -> None:
         lambda: Priors(focal_px=(-1200.0, 10.0)),
         lambda: Priors(focal_px=(1200.0,)),  # type: ignore[arg-type]
         lambda: Priors(corner_sigma_px=(0.2, math.inf)),
+        lambda: Priors(focal_px=1200.0),  # type: ignore[arg-type]
+        lambda: Priors(focal_px=("1200", "12")),  # type: ignore[arg-type]
+        lambda: Priors(log_aspect=0.01),  # type: ignore[arg-type]
+        lambda: Priors(board_bend=None),  # type: ignore[arg-type]
+        lambda: Priors(radial=Normal(0.0, 1.0)),  # type: ignore[arg-type]
+        lambda: Normal(None, 1.0),  # type: ignore[arg-type]
+        lambda: Normal(0.0, 1e-300),
     ],
 )
 def test_numbers_that_are_no_prior(build: object) -> None:

@@ -60,6 +60,19 @@ def test_views_of_different_parts_are_no_copies() -> None:
     np.testing.assert_allclose(total(halves), 1)
 
 
+def test_views_are_compared_by_the_points_that_they_share() -> None:
+    first, second, _ = noisy()
+    part = View(first.object_points[20:], first.image_points[20:])
+    other = View(first.object_points + np.array([9, 0, 0]), first.image_points)
+    # The second view joins the other two, which have no point in common.
+    start = View(first.object_points[:20], first.image_points[:20])
+    np.testing.assert_allclose(copies([start, part, second], SIZE), 1)
+    np.testing.assert_allclose(copies([part, other, first, first], SIZE), [3, 1, 3, 3])
+    np.testing.assert_allclose(
+        copies([other, first, View(other.object_points, second.image_points)], SIZE), 1
+    )
+
+
 @pytest.mark.parametrize("times", [2, 5])
 def test_copies_leave_camera_and_error_bars_as_they_are(times: int) -> None:
     once = fewcal.calibrate(noisy(), SIZE)

@@ -18,6 +18,7 @@ from fewcal.posterior import (
     covariance_from_rows,
     determined_share,
     gaussian_covariance,
+    leave_one_out,
     posterior,
     projection_std,
 )
@@ -155,10 +156,41 @@ def test_determined_share_lies_between_nothing_and_everything(seed: int) -> None
 
 def test_determined_share_is_the_variance_that_the_data_removed() -> None:
     nothing = np.zeros((0, 2, 2))
-    result = Posterior(np.diag([1.0, 4.0]), np.diag([4.0, 4.0]), nothing, np.zeros((2, 2)))
+    result = Posterior(np.diag([1.0, 4.0]), np.diag([4.0, 4.0]), nothing, np.zeros((2, 2)), np.zeros(2))
     np.testing.assert_allclose(determined_share(result), [0.75, 0])
     # A variance that the tails have made larger than the prior's.
     np.testing.assert_array_equal(determined_share(result._replace(covariance=np.diag([1.0, 9]))), [0.75, 0])
+
+
+# --- priors against everything else ------------------------------------------------------------------------
+
+
+@given(seed=st.integers(0, 1000))
+def test_a_row_left_out_is_held_against_what_the_others_say(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    J = rng.normal(size=(30, 4)) * 10.0 ** rng.uniform(-3, 3, 4)
+    r = rng.normal(size=30)
+    J[-1] *= 10.0 ** rng.uniform(-2, 4)
+    found = leave_one_out(J, r)
+    for i in (0, 29):
+        J_others, r_others = np.delete(J, i, axis=0), np.delete(r, i)
+        step = -np.linalg.lstsq(J_others, r_others, rcond=None)[0]
+        spread = J[i] @ inverse(J_others.T @ J_others) @ J[i]
+        expected = (r[i] + J[i] @ step) / np.sqrt(1 + spread)
+        assert found[i] == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+
+def test_a_row_that_alone_speaks_of_an_unknown_contradicts_nothing() -> None:
+    J = np.array([[1.0, 0], [1, 0], [0, 1]])
+    np.testing.assert_allclose(leave_one_out(J, np.array([1.0, -1, 5])), [2**0.5, -(2**0.5), 0])
+
+
+def test_only_normal_priors_are_held_against_the_rest() -> None:
+    rows = random_rows(3)
+    nu = np.array([np.inf, 2, 2, 2, 2, 2, 2, 2])
+    found = posterior(rows, Tails(rows.prior, rows.prior_by_camera, np.arange(8), nu)).against_prior
+    assert found[0] != 0
+    np.testing.assert_array_equal(found[1:], 0)
 
 
 # --- camera and board --------------------------------------------------------------------------------------

@@ -8,7 +8,18 @@ from numpy.typing import NDArray
 from scenes import CAMERA, SIZE, pose
 
 from fewcal.camera import Camera
-from fewcal.verdict import Evidence, Thresholds, Verdict, degeneracies, extent, folds_inside, judge, tilt_deg
+from fewcal.errors import InvalidInput
+from fewcal.verdict import (
+    Evidence,
+    Thresholds,
+    Verdict,
+    degeneracies,
+    extent,
+    folds_inside,
+    judge,
+    outside,
+    tilt_deg,
+)
 
 Array = NDArray[np.float64]
 
@@ -21,6 +32,8 @@ def rotations(*arrangements: tuple[float, ...]) -> Array:
 SOUND = Evidence(
     rotations=rotations((40, 20), (35, 110)),
     extents=np.array([0.4, 0.5]),
+    copies=np.ones(2),
+    outside_px=-7.0,
     camera=CAMERA,
     image_size=SIZE,
     sigma_px=0.5,
@@ -33,7 +46,7 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
     "scatter": (
         {"sigma_px": 4.2},
         "The points miss the camera by 4.2 px (one sigma), more than any board or lens explains; check that "
-        "points and board belong together, the board is flat and every prior true.",
+        "points and board belong together, the board is flat, the lens no fisheye and every prior true.",
     ),
     "fronto-parallel": (
         {"rotations": rotations((2, 0), (3.2, 90))},
@@ -46,9 +59,14 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
         "by 30 deg about another axis.",
     ),
     "turned": (
-        {"rotations": rotations((30, 0), (30, 0, 70), (30, 0, 20))},
+        {"rotations": rotations((30, 0), (30, 0, 70), (30, 0, 20)), "copies": np.ones(3)},
         "Turn about the normal: the board was only turned in its own plane within 1 deg, so the 3 views "
         "count as one; tilt the board by 30 deg about another axis.",
+    ),
+    "same view": (
+        {"rotations": rotations((30, 0), (30, 0), (31, 0)), "copies": np.full(3, 2.9)},
+        "The same view again: the 3 views show the board in one place, so they count as one; tilt the board "
+        "by 30 deg about another axis.",
     ),
     "small": (
         {"extents": np.array([0.08, 0.123])},
@@ -71,9 +89,8 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
     ),
     "conflict": (
         {"conflicts": {"aspect ratio": 4.44, "focal length": 2.9}},
-        "The aspect ratio contradicts what is known of cameras by 4.4 standard deviations; check that board "
-        "and square size are right and the image is neither cropped nor scaled, add views, or state other "
-        "priors.",
+        "The aspect ratio contradicts what was known beforehand by 4.4 standard deviations; check that the "
+        "board is flat, its squares square and the image not cropped, add views, or state other priors.",
     ),
     "fold": (
         {"camera": Camera(600.0, 600.0, 639.5, 479.5, [-0.4, 0, 0, 0, 0])},
@@ -84,6 +101,11 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
         {"camera": Camera(600.0, 600.0, 639.5, 479.5, [0, 0, 0.2, 0, 0])},
         "The distortion model folds over inside the image; add a view with the board near the corners of the "
         "image.",
+    ),
+    "outside": (
+        {"outside_px": 41.7},
+        "Points lie outside the image of 1280x960, by up to 42 px; check that the size is width and height "
+        "of the image that they were found in.",
     ),
     "iterations": ({"converged": False}, "The optimisation did not converge; add a view."),
 }
@@ -118,7 +140,8 @@ def test_reasons_add_up() -> None:
     ],
 )
 def test_sound_arrangements(arrangement: tuple[tuple[float, ...], ...], extents: tuple[float, ...]) -> None:
-    assert list(degeneracies(rotations(*arrangement), np.array(extents))) == []
+    copies = np.ones(len(arrangement))
+    assert list(degeneracies(rotations(*arrangement), np.array(extents), copies)) == []
 
 
 @pytest.mark.parametrize("roll_deg", [0, 17, 45, 90, 133])
@@ -130,7 +153,7 @@ def test_extent_is_the_largest_distance_of_two_points_however_the_board_is_turne
 
 
 def test_half_a_turn_is_the_ambiguity_of_the_board_and_no_motion() -> None:
-    (reason,) = degeneracies(rotations((30, 0), (30, 0, 179)), np.array([0.3, 0.3]))
+    (reason,) = degeneracies(rotations((30, 0), (30, 0, 179)), np.array([0.3, 0.3]), np.ones(2))
     assert reason.startswith("Parallel planes")
 
 
@@ -148,6 +171,27 @@ def test_thresholds_can_be_changed(case: str, thresholds: Thresholds) -> None:
     evidence = replace(SOUND, **CASES[case][0])  # type: ignore[arg-type]
     assert not judge(evidence).usable
     assert judge(evidence, thresholds) == Verdict(True, ())
+
+
+@pytest.mark.parametrize(("copies", "same"), [((1.4, 1.4), True), ((1.3, 1.3), False), ((2, 2, 1), False)])
+def test_views_are_the_same_when_copies_leave_but_one(copies: tuple[float, ...], same: bool) -> None:
+    tilted = rotations(*[(30 + 20 * i, 0) for i in range(len(copies))])
+    reasons = list(degeneracies(tilted, np.full(len(copies), 0.3), np.array(copies)))
+    assert [reason.split(":")[0] for reason in reasons] == ["The same view again"] * same
+
+
+@pytest.mark.parametrize("wrong", ["2 %", None, float("nan")])
+def test_thresholds_are_numbers(wrong: object) -> None:
+    with pytest.raises(InvalidInput, match="Thresholds are numbers"):
+        Thresholds(focal_std=wrong)  # type: ignore[arg-type]
+    assert judge(SOUND, Thresholds(focal_std=float("inf"))).usable
+
+
+def test_outside_is_measured_from_the_border_of_the_outermost_pixels() -> None:
+    inside = np.array([[0.0, 0.0], [99.0, 49.0]])
+    assert outside(inside, (100, 50)) == pytest.approx(-0.5)
+    assert outside(inside + np.array([3, 0]), (100, 50)) == pytest.approx(2.5)
+    assert outside(inside - np.array([0, 7]), (100, 50)) == pytest.approx(6.5)
 
 
 def test_thresholds_can_be_tightened() -> None:

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from fewcal.boards import Chessboard
 from fewcal.errors import InvalidInput
-from fewcal.views import View, align_views
+from fewcal.views import View, align_views, stack_views
 
 OBJECT = Chessboard(4, 3, 0.03).points
 IMAGE = OBJECT[:, :2] * 1000 + 50
@@ -99,8 +99,19 @@ def test_a_point_off_the_plane_is_refused(index: int, height: float) -> None:
         ((OBJECT, IMAGE, -0.1), "sigma must be positive"),
         ((OBJECT, IMAGE, [0.1, 0.2]), "one for all points or one for each"),
         ((OBJECT, IMAGE, np.nan), "sigma holds a value that is not finite"),
+        ((OBJECT, IMAGE * 1e90), "image_points holds a value beyond 1e\\+50"),
+        ((OBJECT, IMAGE, 1e300), "sigma holds a value beyond"),
     ],
 )
 def test_correspondences_that_cannot_be_used(arguments: tuple[Any, ...], sentence: str) -> None:
     with pytest.raises(InvalidInput, match=sentence):
         View(*arguments)
+
+
+def test_views_without_sigmas_weigh_as_much_as_those_with_sigmas() -> None:
+    sigma = np.linspace(0.1, 0.5, 12)
+    stack = stack_views([View(OBJECT, IMAGE), View(OBJECT, IMAGE, sigma), View(OBJECT, IMAGE, 2 * sigma)])
+    squares = stack.weights**2
+    np.testing.assert_array_equal(squares[0], 1)
+    assert squares[1:].mean() == pytest.approx(1)
+    assert (squares[1] > squares[2]).all()

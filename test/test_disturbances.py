@@ -1,0 +1,27 @@
+"""The study of errors that the estimator does not know of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from disturbances import DISTURBANCES, run
+from scenes import BOARD, CAMERA, SIZE, pose
+from synthetic import Scene
+
+
+@pytest.mark.parametrize("name", DISTURBANCES)
+def test_a_disturbance_moves_the_points_a_little(name: str) -> None:
+    scene = Scene(CAMERA, SIZE, BOARD, np.stack([pose(40, 30), pose(35, 120)]))
+    off = DISTURBANCES[name](scene, np.random.default_rng(2)) - scene.pixels(BOARD.points)
+    largest = np.linalg.norm(off, axis=2).max()
+    assert (largest == 0) == (name == "nothing")
+    assert largest < 100
+
+
+def test_squares_that_are_not_square_show_in_the_focal_length() -> None:
+    quiet, stretched = (
+        np.abs([run((name, number, 2)).z for number in range(12)]) for name in ("nothing", "squares 0.5 %")
+    )
+    assert np.all(quiet < 3)
+    assert np.median(stretched) > np.median(quiet)
+    assert np.isfinite(run(("real", 1, None)).z)

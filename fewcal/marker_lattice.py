@@ -30,8 +30,8 @@ from .marker_placement import (
     turned,
 )
 from .markers import DICTIONARIES, read_levels, read_markers
-from .reduction import SEARCHED_PX, reduce, reductions
-from .saddle_points import find_saddle_points
+from .reduction import SEARCHED_PX, WINDOW_PX, densest_window, reduce, reductions
+from .saddle_points import SaddlePoints, find_saddle_points
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -122,12 +122,18 @@ def find_squares(grey: GreyImage, layout: Layout) -> Sighting:
     layout : Layout
     """
     chains: list[Array] = []
+    peaks, strength = np.empty((0, 2)), np.empty(0)
     best = _identify(grey, [], layout)
     for factor in reductions(grey):
+        window = np.s_[:, :]
         if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(chains):
-            break
-        chains = list(_find_chains(reduce(grey, factor), layout.linking))
-        seen = _identify(grey, [(chain + 0.5) * factor - 0.5 for chain in chains], layout)
+            window = densest_window(peaks, strength, grey.shape, WINDOW_PX * factor)
+        image = reduce(grey[window], factor)
+        saddles = find_saddle_points(image)
+        chains = list(_find_chains(image, saddles, layout.linking))
+        origin = np.array([window[1].start or 0, window[0].start or 0])
+        peaks, strength = (saddles.peaks + 0.5) * factor - 0.5 + origin, saddles.strength
+        seen = _identify(grey, [(chain + 0.5) * factor - 0.5 + origin for chain in chains], layout)
         best = max(seen, best, key=lambda each: (len(each.squares), len(each.ids), len(each.unread)))
         if len(best.squares) == layout.whole:
             break
@@ -142,9 +148,8 @@ def _shows_small_squares(chains: list[Array]) -> bool:
     )
 
 
-def _find_chains(image: GreyImage, linking: Linking) -> Iterator[Array]:
+def _find_chains(image: GreyImage, saddles: SaddlePoints, linking: Linking) -> Iterator[Array]:
     """Linked corners (R, C, 2) that enclose squares, NaN for others; x cross y away from the camera."""
-    saddles = find_saddle_points(image)
     for grid, _ in islice(find_chains(image, saddles, linking, MIN_CORNERS), MAX_CHAINS):
         corners = np.where((grid >= 0)[..., None], saddles.points[grid], np.nan)
         closed = np.pad(np.isfinite(corners_of_squares(corners)).all(axis=(2, 3)), 1)

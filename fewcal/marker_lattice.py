@@ -3,6 +3,10 @@
     image -> reduced copies, coarse to fine -> saddle points -> chains of corners -> the squares between them
           -> the markers in these -> where on the board the chain lies
 
+Of copies too large to be searched whole, one window is searched: about the place where the copy before has
+the strongest and densest saddle points. Too small there for its corners to be told from those of the markers'
+bits, a board still has more of both than anything else that is usually seen.
+
 The corners that edges link have integer coordinates, so that two markers of a chain say where all of its
 corners are; the others need not be legible.
 """
@@ -44,6 +48,8 @@ MIN_LINKED = 9
 """Linked corners of squares that are worth a look at a finer copy: those of four squares."""
 SMALL_SQUARE_PX = 8.0
 """Squares smaller than this in one copy are shown better by the next."""
+RESOLVED_PX = 20.0
+"""Squares of this size in a copy have been found in it: their bits are some pixels wide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +83,12 @@ class Sighting:
     cells: Indices
     votes: int
     unread: Array
+
+    @property
+    def square_px(self) -> float:
+        """Median side of the squares, pixels; 0 when there are none."""
+        sides = np.linalg.norm(np.diff(self.pixels, axis=1), axis=2)
+        return float(np.median(sides)) if len(sides) else 0.0
 
     def markers_a_step(self, squares: int) -> int | None:
         """By how much the numbers of the markers grow that many squares down; None where that is not seen."""
@@ -127,6 +139,8 @@ def find_squares(grey: GreyImage, layout: Layout) -> Sighting:
     for factor in reductions(grey):
         window = np.s_[:, :]
         if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(chains):
+            if best.square_px >= RESOLVED_PX * 2 * factor:  # in the copy before
+                break
             window = densest_window(peaks, strength, grey.shape, WINDOW_PX * factor)
         image = reduce(grey[window], factor)
         saddles = find_saddle_points(image)

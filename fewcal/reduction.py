@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 COARSEST_PX = 300
 """No reduced copy is smaller than this on its long side: a board across half of it has squares of 15 px."""
 SEARCHED_PX = 1000
-"""Copies up to this size are always searched, a larger full image only when there is evidence of a board;
-chessboards are looked for in every smaller copy, circle grids in those up to this size."""
-
+"""Copies up to this size are always searched, larger ones only when there is evidence of a board, and a
+window of them for boards with markers; chessboards are looked for in every copy smaller than the full image,
+circle grids in those up to this size."""
 WINDOW_PX = 500
 """Side of a window of a copy larger than that; a board of 15 squares of 32 px fits in."""
 CELLS = 16
@@ -50,9 +50,7 @@ def reduce(grey: GreyImage, factor: int) -> GreyImage:
     return grey
 
 
-def densest_window(
-    points: Array, weights: Array, shape: tuple[int, ...], side: int
-) -> tuple[slice, slice]:
+def densest_window(points: Array, weights: Array, shape: tuple[int, ...], side: int) -> tuple[slice, slice]:
     """Square window of an image about the place where points are densest.
 
     Parameters
@@ -73,10 +71,10 @@ def densest_window(
     cell = max(side // CELLS, 1)
     rows, columns = (size // cell + 1 for size in shape)
     x, y = (np.rint(points).astype(np.intp) // cell).T
-    density = np.bincount(y * columns + x, weights, rows * columns).reshape(rows, columns)
+    total = np.bincount(y * columns + x, weights, rows * columns).reshape(rows, columns).astype(float)
     # The Gaussian is as wide as half the window, so that what is as large lies in the middle of it.
-    density = cv2.GaussianBlur(density, (0, 0), CELLS / 8, borderType=cv2.BORDER_CONSTANT)
-    middle = (np.array(np.unravel_index(density.argmax(), density.shape)) + 0.5) * cell
+    density = cv2.GaussianBlur(total, (0, 0), CELLS / 8, borderType=cv2.BORDER_CONSTANT)
+    middle = (np.array(divmod(int(density.argmax()), columns)) + 0.5) * cell
     starts = np.clip(np.rint(middle - side / 2), 0, np.maximum(np.array(shape) - side, 0)).astype(int)
     top, left = starts.tolist()
     return slice(top, top + side), slice(left, left + side)

@@ -88,7 +88,7 @@ def find_saddle_points(image: Image) -> SaddlePoints:
 
 
 def _peaks(smooth: NDArray[np.float32], min_contrast: float) -> tuple[Array, Array]:
-    """Strongest local maxima of the saddle response, located to a fraction of a pixel, and its square root."""
+    """Strongest local maxima of the saddle response to a fraction of a pixel, and its square root there."""
     Ixx = cv2.Sobel(smooth, cv2.CV_32F, 2, 0, ksize=1)
     Iyy = cv2.Sobel(smooth, cv2.CV_32F, 0, 2, ksize=1)
     Ixy = cv2.Sobel(smooth, cv2.CV_32F, 1, 1, ksize=1, scale=0.25)

@@ -6,12 +6,19 @@ import pytest
 from board_pictures import CAMERA, SIZE
 from marker_pictures import CHARUCO, marker_picture, needs_markers
 
+from fewcal.aprilgrid import AprilGrid
+from fewcal.aprilgrid_detection import aprilgrid_layout
+from fewcal.boards import Charuco
+from fewcal.camera import Camera
 from fewcal.charuco_detection import charuco_layout
 from fewcal.marker_lattice import find_squares
+from fewcal.marker_placement import Layout
 from fewcal.rendering import Conditions, clutter, render
+from fewcal.virtual_camera import board_pose
 
 pytestmark = needs_markers
 LAYOUT = charuco_layout(CHARUCO)
+GRID = AprilGrid(6, 4, 0.03, 0.3, "tag36h11")
 
 
 def corners_of(squares: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -51,6 +58,30 @@ def test_a_board_in_two_parts_is_found_in_both() -> None:
     seen = find_squares(covered, LAYOUT)
     assert set(seen.squares[:, 0].tolist()) == {1, 2, 4, 5}
     assert np.abs(seen.pixels - corners_of(seen.squares, true)).max() < 1.0
+
+
+@pytest.mark.parametrize("cluttered", [False, True])
+@pytest.mark.parametrize("square_px", [20, 24, 32])
+@pytest.mark.parametrize("size", [(1280, 960), (1920, 1080)])
+@pytest.mark.parametrize(
+    ("board", "layout"),
+    [(CHARUCO, charuco_layout(CHARUCO)), (GRID, aprilgrid_layout(GRID))],
+    ids=["charuco", "aprilgrid"],
+)
+def test_small_squares_are_found_in_a_large_image(
+    board: Charuco | AprilGrid, layout: Layout, size: tuple[int, int], square_px: float, cluttered: bool
+) -> None:
+    rng = np.random.default_rng([size[0], int(square_px)])
+    camera = Camera(size[0], size[0], size[0] / 2, size[1] / 2)
+    tilt, about, roll = rng.uniform(0, (40, 360, 360))
+    square = board.square_size if isinstance(board, Charuco) else board.tag_size
+    T = board_pose(tilt, about, roll, camera.fx * square / square_px, board.points[:, :2].mean(axis=0))
+    T[:2, 3] += rng.uniform(-0.3, 0.3, 2) * size / camera.fx * T[2, 3]
+    background = clutter(size, rng) if cluttered else np.full(size[::-1], 0.9)
+    seen = find_squares(render(camera, size, board, T, background=background), layout)
+    assert len(seen.squares) == layout.whole
+    true = camera.project(np.append(layout.quads, np.zeros_like(layout.quads[..., :1]), axis=-1), T)
+    assert np.abs(seen.pixels - true[seen.squares[:, 1], seen.squares[:, 0]]).max() < 1.0
 
 
 def test_where_is_no_board_are_no_squares() -> None:

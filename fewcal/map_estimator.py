@@ -156,7 +156,11 @@ def _ahead(problem: Adjustment, noise: Noise, found: Minimum[Geometry]) -> tuple
 
 
 def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> Geometry:
-    """Every focal length, with the first pose of all views and with the second (F * 2)."""
+    """Every focal length, with the first pose of all views and with the second (C * F * 2).
+
+    One view says little of the distortion, so that each kind of lenses, of C, may have a minimum of its own
+    and is a start; more views settle it.
+    """
     H = homographies(views.points, views.pixels, views.weights)
     width = max(model.image_size)
     focal = [width * share for share in FOCAL_STARTS]
@@ -172,13 +176,15 @@ def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> Geometry:
     A_inv[..., 2, 2] = 1
     rays = (views.pixels - model.centre[:, None]) / f[:, None, None, None]
     R, t = planar_poses(A_inv @ H, views.points, rays, views.weights)
-    theta = np.zeros((len(f), 8))
-    theta[:, 0] = np.log(f)
-    lenses = Lenses.of(priors.radial)
-    theta[:, 4:6] = lenses.share @ lenses.means(model.diagonal / 2 / f)[0]
-    count = len(views.points)
     R, t = np.swapaxes(R, 1, 2), np.swapaxes(t, 1, 2)  # (F, 2, V, ...)
-    return Geometry(np.repeat(theta, 2, axis=0), R.reshape(-1, count, 3, 3), t.reshape(-1, count, 3))
+    lenses, count = Lenses.of(priors.radial), len(views.points)
+    radial = np.moveaxis(lenses.means(model.diagonal / 2 / f)[0], 1, 0)  # (C, F, ...)
+    if count > 1:
+        radial = np.tensordot(lenses.share, radial, 1)[None]
+    theta = np.zeros((len(radial), len(f), 2, 8))
+    theta[..., 0], theta[..., 4:6] = np.log(f)[:, None], radial[:, :, None]
+    R, t = (np.tile(part, (len(radial), *[1] * (part.ndim - 1))) for part in (R, t))
+    return Geometry(theta.reshape(-1, 8), R.reshape(-1, count, 3, 3), t.reshape(-1, count, 3))
 
 
 def _arrangements(focal_lengths: int, views: int) -> NDArray[np.intp]:
@@ -191,14 +197,20 @@ def _arrangements(focal_lengths: int, views: int) -> NDArray[np.intp]:
 def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     """Let the starts race, and keep the best of each arrangement of the boards that is not hopeless.
 
+    With one view the kind of lenses that a start has is part of the arrangement.
     Given how the boards are tilted, to this side or to that, the camera has one minimum; the valley from
     focal length to focal length is walked by :meth:`Adjustment.retract`. So the focal lengths from which one
     step leads lowest stand for all.
     """
+    priors = problem.constraint
+    assert problem.noise is not None
+    assert isinstance(priors, PriorRows)
     # Each view is linearised once for each focal length and pose, and then combined.
     equations = problem.linearise(start)
     source = _arrangements(len(start.theta) // 2, len(problem.views.points))
-    arrangement = np.tile(np.arange(source.shape[1]), len(source))
+    kinds = len(priors.lenses.share) if source.shape[2] == 1 else 1
+    kind = np.arange(len(source)) * kinds // len(source)
+    arrangement = (kind[:, None] * source.shape[1] + np.arange(source.shape[1])).ravel()
     source = source.reshape(-1, source.shape[2])
     equations = NormalEquations(_of_views(equations.groups, source), equations.shared[source[:, 0]])
     allowed = np.flatnonzero(np.isfinite(equations.squares))
@@ -217,7 +229,6 @@ def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     runners = Geometry(
         start.theta[source[:, 0]], _of_views(start.rotation, source), _of_views(start.position, source)
     )
-    assert problem.noise is not None
     several = problem.believing(problem.noise.repeat(len(kept)))
     found = minimise(several, runners, _COARSE, race=True, equations=take(equations, kept))
     kept = _lowest(found.objective, arrangement, 1)

@@ -3,6 +3,10 @@
     image -> reduced copies, coarse to fine -> saddle points -> chains of corners -> the squares between them
           -> the markers in these -> where on the board the chain lies
 
+Of copies too large to be searched whole, one window is searched: about the place where the copy before has
+the strongest and densest saddle points. Too small there for its corners to be told from those of the markers'
+bits, a board still has more of both than anything else that is usually seen.
+
 The corners that edges link have integer coordinates, so that two markers of a chain say where all of its
 corners are; the others need not be legible.
 """
@@ -30,8 +34,8 @@ from .marker_placement import (
     turned,
 )
 from .markers import DICTIONARIES, read_levels, read_markers
-from .reduction import SEARCHED_PX, reduce, reductions
-from .saddle_points import find_saddle_points
+from .reduction import SEARCHED_PX, WINDOW_PX, densest_window, reduce, reductions
+from .saddle_points import SaddlePoints, find_saddle_points
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -44,6 +48,8 @@ MIN_LINKED = 9
 """Linked corners of squares that are worth a look at a finer copy: those of four squares."""
 SMALL_SQUARE_PX = 8.0
 """Squares smaller than this in one copy are shown better by the next."""
+RESOLVED_PX = 20.0
+"""Squares of this size in a copy have been found in it: their bits are some pixels wide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +83,12 @@ class Sighting:
     cells: Indices
     votes: int
     unread: Array
+
+    @property
+    def square_px(self) -> float:
+        """Median side of the squares, pixels; 0 when there are none."""
+        sides = np.linalg.norm(np.diff(self.pixels, axis=1), axis=2)
+        return float(np.median(sides)) if len(sides) else 0.0
 
     def markers_a_step(self, squares: int) -> int | None:
         """By how much the numbers of the markers grow that many squares down; None where that is not seen."""
@@ -122,12 +134,20 @@ def find_squares(grey: GreyImage, layout: Layout) -> Sighting:
     layout : Layout
     """
     chains: list[Array] = []
+    peaks, strength = np.empty((0, 2)), np.empty(0)
     best = _identify(grey, [], layout)
     for factor in reductions(grey):
+        window = np.s_[:, :]
         if max(grey.shape) / factor > SEARCHED_PX and not _shows_small_squares(chains):
-            break
-        chains = list(_find_chains(reduce(grey, factor), layout.linking))
-        seen = _identify(grey, [(chain + 0.5) * factor - 0.5 for chain in chains], layout)
+            if best.square_px >= RESOLVED_PX * 2 * factor:  # in the copy before
+                break
+            window = densest_window(peaks, strength, grey.shape, WINDOW_PX * factor)
+        image = reduce(grey[window], factor)
+        saddles = find_saddle_points(image)
+        chains = list(_find_chains(image, saddles, layout.linking))
+        origin = np.array([window[1].start or 0, window[0].start or 0])
+        peaks, strength = (saddles.peaks + 0.5) * factor - 0.5 + origin, saddles.strength
+        seen = _identify(grey, [(chain + 0.5) * factor - 0.5 + origin for chain in chains], layout)
         best = max(seen, best, key=lambda each: (len(each.squares), len(each.ids), len(each.unread)))
         if len(best.squares) == layout.whole:
             break
@@ -142,9 +162,8 @@ def _shows_small_squares(chains: list[Array]) -> bool:
     )
 
 
-def _find_chains(image: GreyImage, linking: Linking) -> Iterator[Array]:
+def _find_chains(image: GreyImage, saddles: SaddlePoints, linking: Linking) -> Iterator[Array]:
     """Linked corners (R, C, 2) that enclose squares, NaN for others; x cross y away from the camera."""
-    saddles = find_saddle_points(image)
     for grid, _ in islice(find_chains(image, saddles, linking, MIN_CORNERS), MAX_CHAINS):
         corners = np.where((grid >= 0)[..., None], saddles.points[grid], np.nan)
         closed = np.pad(np.isfinite(corners_of_squares(corners)).all(axis=(2, 3)), 1)

@@ -57,11 +57,18 @@ class SaddlePoints:
         second is dark, and so is the opposite one.
     contrast : (N,)
         Brightness of the bright sectors less that of the dark ones, grey levels.
+    peaks : (P, 2)
+        All peaks of the saddle response that were looked at, with four sectors or not, pixels: on a board
+        with markers the corners of their bits as well.
+    strength : (P,)
+        S^(1/2) there, grey levels / px^2: proportional to the step of a corner.
     """
 
     points: Array
     edges: Array
     contrast: Array
+    peaks: Array
+    strength: Array
 
 
 def find_saddle_points(image: Image) -> SaddlePoints:
@@ -73,15 +80,15 @@ def find_saddle_points(image: Image) -> SaddlePoints:
         Grey levels.
     """
     if min(image.shape) < 4 * RING_RADIUS_PX:
-        return SaddlePoints(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
+        return SaddlePoints(*(np.empty(shape) for shape in ((0, 2), (0, 2), 0, (0, 2), 0)))
     smooth = np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR_PX), dtype=np.float32)
     low, high = np.percentile(smooth[::_EVERY, ::_EVERY], RANGE_PERCENT)
     min_contrast = MIN_CONTRAST * float(high - low)
-    return _with_four_sectors(smooth, _peaks(smooth, min_contrast), min_contrast)
+    return _with_four_sectors(smooth, *_peaks(smooth, min_contrast), min_contrast)
 
 
-def _peaks(smooth: NDArray[np.float32], min_contrast: float) -> Array:
-    """Strongest local maxima of the saddle response, located to a fraction of a pixel."""
+def _peaks(smooth: NDArray[np.float32], min_contrast: float) -> tuple[Array, Array]:
+    """Strongest local maxima of the saddle response to a fraction of a pixel, and its square root there."""
     Ixx = cv2.Sobel(smooth, cv2.CV_32F, 2, 0, ksize=1)
     Iyy = cv2.Sobel(smooth, cv2.CV_32F, 0, 2, ksize=1)
     Ixy = cv2.Sobel(smooth, cv2.CV_32F, 1, 1, ksize=1, scale=0.25)
@@ -106,10 +113,13 @@ def _peaks(smooth: NDArray[np.float32], min_contrast: float) -> Array:
         [c * gradient[:, 1] - b * gradient[:, 0], c * gradient[:, 0] - a * gradient[:, 1]], axis=1
     )
     offset = np.clip(offset / determinant[:, None], -1.0, 1.0)
-    return np.stack([x, y], axis=1) + np.asarray(offset, dtype=np.float64)
+    strength = np.sqrt(response[y, x].astype(np.float64))
+    return np.stack([x, y], axis=1) + np.asarray(offset, dtype=np.float64), strength
 
 
-def _with_four_sectors(smooth: NDArray[np.float32], peaks: Array, min_contrast: float) -> SaddlePoints:
+def _with_four_sectors(
+    smooth: NDArray[np.float32], peaks: Array, strength: Array, min_contrast: float
+) -> SaddlePoints:
     """Keep the peaks around which dark and bright alternate four times, and measure their edges."""
     half = RING_SAMPLES // 2
     angles = np.arange(RING_SAMPLES)[:, None] * (2 * np.pi / RING_SAMPLES)
@@ -136,7 +146,7 @@ def _with_four_sectors(smooth: NDArray[np.float32], peaks: Array, min_contrast: 
     even, following, falls, rises = (part[:, good] for part in (even, following, falls, rises))
     into_dark, into_bright = _crossing(even, following, falls), _crossing(even, following, rises)
     edges = np.stack([into_dark, into_bright], axis=1) * (np.pi / half)
-    return SaddlePoints(peaks[good], edges, step[good])
+    return SaddlePoints(peaks[good], edges, step[good], peaks, strength)
 
 
 def _crossing(value: Array, following: Array, where: NDArray[np.bool_]) -> Array:

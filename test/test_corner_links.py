@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from board_pictures import BOARD, picture, pose
 
 from fewcal.corner_links import find_links, turn
-from fewcal.saddle_points import SaddlePoints, find_saddle_points
+from fewcal.saddle_points import find_saddle_points
 
 
 def test_neighbours_are_those_of_the_board() -> None:
@@ -32,7 +34,9 @@ def test_a_chain_without_squares_is_no_board() -> None:
     saddles = find_saddle_points(image)
     gaps = np.linalg.norm(saddles.points[:, None] - true[:9], axis=2)
     row = gaps.min(axis=1) < 2
-    chain = SaddlePoints(saddles.points[row], saddles.edges[row], saddles.contrast[row])
+    chain = replace(
+        saddles, points=saddles.points[row], edges=saddles.edges[row], contrast=saddles.contrast[row]
+    )
     assert len(chain.points) == 9
     start, end, along_first = find_links(image, chain)
     assert len(start) == len(end) == len(along_first) == 0

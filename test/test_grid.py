@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from board_pictures import BOARD, CAMERA, SIZE, picture, pose
 
@@ -7,7 +9,7 @@ from fewcal.boards import Chessboard
 from fewcal.corner_links import Linking
 from fewcal.grid import fill_gaps, find_chains, find_grids, local_axes, predict, squares_meet_in_shadow
 from fewcal.rendering import render
-from fewcal.saddle_points import SaddlePoints, find_saddle_points
+from fewcal.saddle_points import find_saddle_points
 
 LATTICE = np.stack(np.meshgrid(np.arange(5.0) * 20, np.arange(4.0) * 30), axis=-1)
 
@@ -49,7 +51,9 @@ def test_missing_corners_are_found_again_or_left_open() -> None:
     saddles = find_saddle_points(image)
     kept = np.ones(len(saddles.points), dtype=bool)
     kept[[10, 30]] = False
-    fewer = SaddlePoints(saddles.points[kept], saddles.edges[kept], saddles.contrast[kept])
+    fewer = replace(
+        saddles, points=saddles.points[kept], edges=saddles.edges[kept], contrast=saddles.contrast[kept]
+    )
     grid = find_grids(image, fewer)[0]
     assert sorted(grid.shape[:2]) == [6, 9]
     assert np.isnan(grid[..., 0]).sum() == 2

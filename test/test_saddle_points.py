@@ -15,6 +15,9 @@ def test_every_corner_of_a_board_is_a_saddle_point_near_its_place() -> None:
     assert distance.max() < 0.3
     assert len(saddles.points) == len(true)
     assert (saddles.contrast[nearest] > 50).all()
+    assert cKDTree(saddles.peaks).query(saddles.points)[0].max() == 0
+    of_board = saddles.strength[cKDTree(saddles.peaks).query(saddles.points)[1]]
+    assert of_board.min() > 5 * np.median(saddles.strength)
 
 
 def test_the_sector_between_the_edges_is_dark() -> None:

@@ -65,7 +65,7 @@ def run_opencv(views: list[fewcal.View]) -> Callable[[], object]:
 
 
 def run_scipy(views: list[fewcal.View]) -> Callable[[], object]:
-    """scipy.optimize.least_squares on the same rows and Jacobians, the noise given."""
+    """scipy.optimize.least_squares on the same rows and Jacobians, noise and width of the priors given."""
     answer = fewcal.calibrate(views, SIZE)
     stack, model = stack_views(views), ScaleFree(SIZE)
     poses = np.stack(answer.board_poses)
@@ -75,15 +75,17 @@ def run_scipy(views: list[fewcal.View]) -> Callable[[], object]:
     problem = Adjustment(stack, model, fewcal.Priors().rows(SIZE))
     at = Geometry(model.theta(natural)[None], (rotation @ stack.plane)[None], position[None])
     count = len(views)
+    # The priors as normal ones, linear about the answer.
+    known = problem.rows(at, answer.sigma_px)
 
     def rows(x: Array) -> tuple[Array, Array]:
         found = problem.rows(problem.retract(at, x[None, :8], x[8:].reshape(1, count, 6)), answer.sigma_px)
-        J = np.zeros((found.r.size + len(found.prior), len(x)))
+        J = np.zeros((found.r.size + len(known.prior), len(x)))
         for v, (by_camera, by_pose) in enumerate(zip(found.by_camera, found.by_pose, strict=True)):
             part = slice(v * len(by_camera), (v + 1) * len(by_camera))
             J[part, :8], J[part, 8 + 6 * v : 14 + 6 * v] = by_camera, by_pose
-        J[found.r.size :, :8] = found.prior_by_camera
-        return np.concatenate([found.r.ravel(), found.prior]), J
+        J[found.r.size :, :8] = known.prior_by_camera
+        return np.concatenate([found.r.ravel(), known.prior + known.prior_by_camera @ x[:8]]), J
 
     start = np.zeros(8 + 6 * count)
     start[0] = 0.02

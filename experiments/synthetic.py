@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 import fewcal
 from fewcal.adjustment import rotation_from_vector
 from fewcal.boards import Chessboard
-from fewcal.constraints import Priors, StudentT
+from fewcal.constraints import Distribution, Priors, StudentT
 from fewcal.departures import lens_remainder as radial_remainder
 from fewcal.distortion import fold_radius
 from fewcal.noise import ABSORBED, CORRELATION, MODEL_ERROR_PX
@@ -103,8 +103,7 @@ def draw_camera(
         focal = priors.focal(max(size))
         theta[0] = _draw(focal, rng) + np.log(max(size))
         theta[1] = width * _draw(priors.log_aspect, rng)
-        theta[2] = width * _draw(priors.principal_point_x, rng)
-        theta[3] = width * _draw(priors.principal_point_y, rng)
+        theta[2:4] = width * _draw_two(priors.principal_point_x, priors.principal_point_y, rng)
         lenses = Lenses.of(priors.radial)
         kind = rng.choice(len(lenses.share), p=lenses.share)
         nu = priors.radial[kind].nu
@@ -112,7 +111,7 @@ def draw_camera(
         spread = np.linalg.cholesky(lenses.covariance[kind])
         corner = np.array(model.diagonal / 2 / np.exp(theta[0]))
         theta[4:6] = lenses.means(corner)[0][kind] + gain * spread @ rng.normal(size=2)
-        theta[6:8] = [_draw(priors.tangential, rng) for _ in range(2)]
+        theta[6:8] = _draw_two(priors.tangential, priors.tangential, rng)
         natural = model.natural(theta)
         camera = fewcal.Camera(*natural[:4].tolist(), np.append(natural[4:], 0.0))
         within = abs(theta[1]) < FARTHEST[0] and np.abs(theta[2:4]).max() < FARTHEST[1]
@@ -120,10 +119,18 @@ def draw_camera(
             return camera, size
 
 
-def _draw(distribution: object, rng: np.random.Generator) -> float:
+def _draw(distribution: Distribution, rng: np.random.Generator) -> float:
     if isinstance(distribution, StudentT):
         return distribution.mean + distribution.scale * float(rng.standard_t(distribution.nu))
-    return float(rng.normal(distribution.mean, distribution.sd))  # type: ignore[attr-defined]
+    return float(rng.normal(distribution.mean, distribution.sd))
+
+
+def _draw_two(first: Distribution, second: Distribution, rng: np.random.Generator) -> Array:
+    """Draw (2,) from two distributions, of a bivariate t if they are t of the same nu."""
+    if not isinstance(first, StudentT) or not isinstance(second, StudentT) or first.nu != second.nu:
+        return np.array([_draw(first, rng), _draw(second, rng)])
+    gain = np.sqrt(first.nu / rng.chisquare(first.nu))
+    return np.array([first.mean, second.mean]) + gain * rng.normal(0, [first.scale, second.scale])
 
 
 def rotation(tilt_deg: float, about_deg: float, roll_deg: float) -> Array:

@@ -215,14 +215,13 @@ def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
     assert isinstance(known, PriorRows)
     result = posterior(rows, known.tails(found.geometry.theta[0]))
     distance = known.distance(found.geometry.theta[0])
-    J = model.natural_jacobian(theta)
     return _Solution(
         camera,
         coefficients,
         0.0,
         found.sigma,
         found.geometry.theta[0, model.size :],
-        _propagated(result.covariance[:8, :8], J),
+        model.natural_spread(theta, result.covariance[:8, :8]),
         {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)[:8]).items()},
         _worst_by_name(np.maximum(distance, np.abs(result.against_prior))[: model.size]),
     )

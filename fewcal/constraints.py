@@ -94,11 +94,12 @@ class Priors:
     log_aspect : Distribution
         Of ln(fy / fx).
     principal_point_x, principal_point_y : Distribution
-        Of the offset from ((w - 1) / 2, (h - 1) / 2), in image diagonals.
+        Of the offset from ((w - 1) / 2, (h - 1) / 2), in image diagonals. Two t of the same nu are those of
+        either coordinate in a bivariate one: a centre that is off in x is likely to be off in y.
     radial : tuple of RadialPrior
         Of a1 = k1 rc^2 and a2 = k2 rc^4, with rc = half the diagonal / fx: the kinds of lenses there are.
     tangential : Distribution
-        Of b1 = p1 rc and b2 = p2 rc.
+        Of b1 = p1 rc and b2 = p2 rc, either in a bivariate one.
     board_bend : Distribution
         Of the board's bend along either side, as a share of its diagonal, see :mod:`fewcal.departures`.
     lens_remainder : Distribution
@@ -109,11 +110,11 @@ class Priors:
 
     focal_px: tuple[float, float] | None = None
     log_focal_over_width: Distribution = Normal(-0.21, 0.40)
-    log_aspect: Distribution = StudentT(2.0, 0.0022)
-    principal_point_x: Distribution = StudentT(3.0, 0.0134)
-    principal_point_y: Distribution = StudentT(3.0, 0.0154)
+    log_aspect: Distribution = StudentT(1.15, 0.0019)
+    principal_point_x: Distribution = StudentT(1.7, 0.0137)
+    principal_point_y: Distribution = StudentT(1.7, 0.0137)
     radial: tuple[RadialPrior, ...] = LENSES
-    tangential: Distribution = StudentT(1.25, 0.0011)
+    tangential: Distribution = StudentT(0.9, 0.0009)
     board_bend: Distribution = StudentT(2.0, 5e-4)
     lens_remainder: Distribution = StudentT(1.0, 0.008)
     corner_sigma_px: tuple[float, float] = (0.25, 1.0)
@@ -151,7 +152,9 @@ class Priors:
         )
         mean, scale, nu = np.array([(d.mean, d.scale, d.nu) for d in single]).T
         mean[0] += math.log(max(image_size))
-        return PriorRows.of(mean, scale, nu, self.radial, math.log(math.hypot(*image_size) / 2))
+        centre_y = 2 if nu[2] == nu[3] else 3
+        prior = np.unique([0, 1, 2, centre_y, 4, 4, 5, 6, 7], return_inverse=True)[1]
+        return PriorRows.of(mean, scale, nu, prior, self.radial, math.log(math.hypot(*image_size) / 2))
 
 
 _SINGLE = (

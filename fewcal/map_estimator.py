@@ -25,6 +25,7 @@ from .least_squares import (
     NormalEquations,
     Stop,
     Tolerances,
+    following,
     minimise,
     solve,
     take,
@@ -32,8 +33,10 @@ from .least_squares import (
 from .noise import Noise
 from .parametrisation import ScaleFree
 from .planar_pose import planar_poses
+from .posterior import camera_rows
 from .prior_rows import PriorRows
 from .radial_prior import Lenses
+from .variational import middle
 from .views import ViewStack
 
 Array = NDArray[np.float64]
@@ -55,6 +58,12 @@ TRUST_LEVELS = np.linspace(0, 1, 6)
 """Standard deviations looked at, from the first to the one of trust, as steps of their logarithm."""
 WORTHWHILE = 0.3
 """Gain in the objective, foreseen, for which the other explanation is followed."""
+
+MOVES = 8
+"""Linear models tried on the way from the minimum to the middle of the posterior."""
+LINEAR = 0.1
+"""Difference of |r|^2 over its variance up to which a linear model of the residuals holds. With real boards
+and with drawn ones the first one is below 0.03 in 98 of 100 cases."""
 
 RUNNERS = 2
 """Focal lengths that race for each arrangement of the boards."""
@@ -126,8 +135,35 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
         other = minimise(problem, trusting.state, _FINE)
         if other.objective[0] < found.objective[0]:
             found = other
-    estimate = Estimate(problem, found.state, float(np.sqrt(found.variance[0])), Stop(int(found.stop[0])))
+    sigma = float(np.sqrt(found.variance[0]))
+    estimate = Estimate(problem, _centred(problem, found), sigma, Stop(int(found.stop[0])))
     return _Found(estimate, float(found.objective[0]), scatter)
+
+
+def _centred(problem: Adjustment, found: Minimum[Geometry]) -> Geometry:
+    """Move a minimum to the middle of the posterior, and let the boards follow the camera.
+
+    The middle is that of a linear model, anew from where it leads until the misfit there is as foretold. Where
+    that never comes true the minimum stays.
+    """
+    priors = problem.constraint
+    assert isinstance(priors, PriorRows)
+    state, sigma = found.state, float(np.sqrt(found.variance[0]))
+    for _ in range(MOVES):
+        reduced = camera_rows(problem.rows(state, sigma)).reshape(-1, state.theta.shape[1] + 1)
+        centre = middle(reduced[:, :-1], reduced[:, -1], priors.tails(state.theta[0]))
+        if centre is None:
+            break
+        shared = centre.step[None]
+        equations = problem.linearise(state)
+        local = following(equations, shared)
+        foretold = equations.squares_after(shared, local)
+        state = problem.retract(state, shared, local)
+        state = problem.retract(state, 0 * shared, following(problem.linearise(state), 0 * shared))
+        off = (problem.linearise(state).squares - foretold) / found.variance
+        if abs(off[0]) < LINEAR:
+            return state
+    return found.state
 
 
 def _ahead(problem: Adjustment, noise: Noise, found: Minimum[Geometry]) -> tuple[float, float]:

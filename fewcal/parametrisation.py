@@ -93,6 +93,24 @@ class ScaleFree(NamedTuple):
         J[..., index, index] = (2 * values[..., :1] / self.diagonal) ** power
         return J
 
+    def natural_spread(self, theta: Array, covariance: Array) -> Array:
+        """Second moment (8, 8) of :meth:`natural` about what it is at `theta` (8,), for a covariance (8, 8).
+
+        By the values at three standard deviations over the root of three to either side (Gauss-Hermite).
+        A focal length that is known to 40 % may well be twice as long but not negative, which the derivative
+        alone would not tell.
+        """
+        if not np.isfinite(covariance).all():
+            return np.full_like(covariance, np.inf)
+        scale = np.sqrt(np.diagonal(covariance))
+        value, vector = np.linalg.eigh(covariance / scale / scale[:, None])
+        # The triangle, in which the focal length has a part in one of the steps only.
+        triangle = np.linalg.qr((vector * np.sqrt(np.maximum(value, 0))).T, mode="r")
+        steps = math.sqrt(3) * scale * np.concatenate([triangle, -triangle])
+        off = self.natural(theta + steps) - self.natural(theta)
+        spread: Array = off.T @ off / 6
+        return spread
+
     def theta(self, natural: Array) -> Array:
         """Invert :meth:`natural`."""
         fx = natural[..., :1]

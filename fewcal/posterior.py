@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from .adjustment import Rows
 from .camera import Camera, project_jacobians
 from .scale_mixture import Tails, moments
+from .variational import contradictions
 
 Array = NDArray[np.float64]
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 """The parameters of a camera that have error bars, in the order of the covariance."""
-SOLE_EVIDENCE = 1e-10
-"""One less the leverage of a row, below which rounding decides what is left of it."""
 
 
 class Posterior(NamedTuple):
@@ -69,42 +68,13 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
     # Alternatives are as wide as all of them together, whichever it is in the end.
     of_one = tails.group[-len(normal) :] >= len(tails.height)
     precision = np.where(of_one, found.precision[-len(normal) :], 1.0)
-    near = np.sqrt(found.precision)
-    left_out = leave_one_out(
-        np.concatenate([data, near[:, None] * tails.by_unknowns]),
-        np.concatenate([r.ravel(), near * tails.z]),
-    )
-    against = np.where(np.isinf(tails.nu[tails.group]), left_out[len(data) :], 0.0)
     return Posterior(
         found.covariance,
         covariance_from_rows(normal),
         np.swapaxes(J, -1, -2) @ J,
         normal.T @ (precision[:, None] * normal),
-        against[-len(normal) :],
+        contradictions(data, r.ravel(), tails)[-len(normal) :],
     )
-
-
-def leave_one_out(J: Array, r: Array) -> Array:
-    """Residual of each row against what all others say, over its standard deviation.
-
-    What is left of a row at the least-squares solution, over the root of one less its leverage (the
-    studentised residual; Cook and Weisberg 1982, chapter 2). A row that decides alone leaves nothing at the
-    solution, whatever the others say.
-
-    Parameters
-    ----------
-    J : (M, S), r : (M,)
-        Linear rows of unit variance that hold every unknown.
-
-    Returns
-    -------
-    (M,) zero where no other row speaks of what a row says.
-    """
-    Q = np.asarray(np.linalg.qr(J / np.linalg.norm(J, axis=0))[0])
-    freedom = 1 - (Q * Q).sum(axis=1)
-    left = r - Q @ (r @ Q)
-    alone = freedom < SOLE_EVIDENCE
-    return np.asarray(np.where(alone, 0.0, left / np.sqrt(np.where(alone, 1.0, freedom))))
 
 
 def gaussian_covariance(rows: Rows) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .least_squares import diagonal
-from .radial_prior import WIDEST, Lenses, RadialPrior, powers
+from .radial_prior import GROWTH, WIDEST, Lenses, RadialPrior, powers
 from .scale_mixture import Tails
 
 Array = NDArray[np.float64]
@@ -19,9 +19,8 @@ STIFFNESS = 0.7
 """Least curvature of a t prior along its argument, as a share of Gauss-Newton's."""
 RADIAL = [4, 5]
 """The radial terms among the unknowns."""
-_DEGREE = np.array([2.0, 4.0])
 _SINGLE = np.array([0, 1, 2, 3, 6, 7, 8, 9, 10])
-"""Unknowns that have a prior of their own."""
+"""Unknowns but the radial terms."""
 
 
 class _Density(NamedTuple):
@@ -57,9 +56,9 @@ class _Density(NamedTuple):
 class PriorRows:
     """The priors on a camera.
 
-    Each unknown, or the pair of radial terms, is first brought to zero mean and unit scale, z. With nu
-    degrees of freedom in d dimensions the density of a prior is then (1 + |z|^2 / nu)^(-(nu + d) / 2), and
-    that of a normal one the same with nu infinite. The radial terms have a prior for each of C kinds of
+    Each unknown, or each d that have one prior together, such as the radial terms, is first brought to zero
+    mean and unit scale, z. With nu degrees of freedom the density of a prior is then
+    (1 + |z|^2 / nu)^(-(nu + d) / 2), and that of a normal one the same with nu infinite. The radial terms have a prior for each of C kinds of
     lenses, and the density of their mixture, since a lens is of one kind.
 
     There are K = 2 (C - 1) + 11 rows: two for each kind of lenses but the last, and one for each unknown,
@@ -103,11 +102,20 @@ class PriorRows:
 
     @classmethod
     def of(
-        cls, mean: Array, scale: Array, nu: Array, kinds: tuple[RadialPrior, ...], corner: float
+        cls,
+        mean: Array,
+        scale: Array,
+        nu: Array,
+        prior: Indices,
+        kinds: tuple[RadialPrior, ...],
+        corner: float,
     ) -> PriorRows:
-        """Gather mean, scale and nu (9,) of the unknowns but the radial terms, and the kinds of lenses."""
+        """Gather the kinds of lenses, and of the unknowns but the radial terms mean, scale, nu and prior (9,).
+
+        Those of which the prior, a number from zero on, is the same have one together.
+        """
         count, lenses = len(kinds), Lenses.of(kinds)
-        single = count + np.arange(len(_SINGLE))
+        single = count + prior
         group = np.concatenate([np.repeat(np.arange(count - 1), 2), single[:4], [count - 1] * 2, single[4:]])
         whiten, offset, follow = np.zeros((len(group), 11)), np.zeros(len(group)), np.zeros((len(group), 2))
         tail = np.empty(len(group))
@@ -158,12 +166,13 @@ class PriorRows:
         return self._density(theta).total
 
     def distance(self, theta: Array) -> Array:
-        """How far (S,) each unknown of a camera (S,) lies out, the radial terms together.
+        """How far (S,) each unknown of a camera (S,) lies out, those that have one prior together.
 
         It is the root of -2 ln of the density over the greatest: standard deviations, for a normal prior.
         """
         at = self._density(theta[None])
-        values = at.values[0, -len(theta) :]
+        rows = slice(at.values.shape[1] - len(theta), None)
+        values = at.values[0] @ self.together[: at.values.shape[1], rows]
         values[RADIAL] = at.radial[0]
         return np.sqrt(values)
 
@@ -235,7 +244,7 @@ class PriorRows:
         z -= power @ follow.T
         by_theta = np.empty((len(theta), *whiten.shape))
         by_theta[:] = whiten
-        by_theta[:, :, 0] += (power * (corner < WIDEST)[:, None]) @ (follow * _DEGREE).T
+        by_theta[:, :, 0] += (power * (corner < WIDEST)[:, None]) @ (follow * GROWTH).T
         own = z * z
         squares = own @ together
         q = squares * self.tail[rows]

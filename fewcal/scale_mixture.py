@@ -81,7 +81,7 @@ def moments(J: Array, r: Array, tails: Tails) -> Moments:
     squares = np.asarray(np.bincount(tails.group, tails.z**2, len(tails.nu)), dtype=np.float64)
     precisions, expected, log_weight = _proposals(tails.nu, counts.astype(float), squares, tails.height)
     near = np.sqrt(expected[tails.group])
-    T, inverse, y = _reference(
+    T, inverse, y = whitened(
         np.concatenate([J, near[:, None] * tails.by_unknowns]), np.concatenate([r, near * tails.z])
     )
     if not np.isfinite(inverse).all():
@@ -154,8 +154,8 @@ def _inverted(matrices: Array) -> tuple[Array, Array]:
     return matrices, log_determinant
 
 
-def _reference(J: Array, r: Array) -> tuple[Array, Array, Array]:
-    """Triangle T (S, S) of J = Q T, its inverse, and Q'r; an infinite inverse where T is singular."""
+def whitened(J: Array, r: Array) -> tuple[Array, Array, Array]:
+    """Triangle T (S, S) of J = Q T, its inverse, and Q'r (S,); an infinite inverse where T is singular."""
     size = J.shape[1]
     length = np.linalg.norm(J, axis=0)
     held = bool(np.all(length > 0)) and len(J) >= size

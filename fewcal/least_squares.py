@@ -307,16 +307,6 @@ def solve(equations: NormalEquations, variance: Array, damping: Array) -> tuple[
     return step[..., 0], local[..., 0], 0.5 * predicted / variance
 
 
-def following(equations: NormalEquations, shared: Array) -> Array:
-    """Steps (B, V, L) of the local unknowns that suit some step (B, S) of the shared ones best."""
-    count = equations.groups.shape[-1] - shared.shape[-1] - 1
-    groups = equations.groups[:, :, :count]
-    scale = _scale(equations.groups)[:, :, :count, None]
-    blocks = groups[..., :count] * (scale * np.swapaxes(scale, -1, -2))
-    target = groups[..., count:-1] @ shared[:, None, :, None] + groups[..., -1:]
-    return -(_solve(blocks, target * scale) * scale)[..., 0]
-
-
 def _damp(better: NDArray[np.bool_], gain: Array, damping: Array, growth: Array) -> tuple[Array, Array]:
     """Damping of the next step and its growth: less after a good step, more and more after bad ones."""
     gain = np.where(better, gain, 0)

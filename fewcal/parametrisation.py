@@ -107,9 +107,10 @@ class ScaleFree(NamedTuple):
         # The triangle, in which the focal length has a part in one of the steps only.
         triangle = np.linalg.qr((vector * np.sqrt(np.maximum(value, 0))).T, mode="r")
         steps = math.sqrt(3) * scale * np.concatenate([triangle, -triangle])
-        off = self.natural(theta + steps) - self.natural(theta)
-        spread: Array = off.T @ off / 6
-        return spread
+        with np.errstate(over="ignore", invalid="ignore"):
+            off = self.natural(theta + steps) - self.natural(theta)
+            spread: Array = off.T @ off / 6
+        return np.where(np.isnan(spread), np.inf, spread)
 
     def theta(self, natural: Array) -> Array:
         """Invert :meth:`natural`."""

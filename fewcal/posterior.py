@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .adjustment import Rows
 from .camera import Camera, project_jacobians
+from .elimination import eliminate
 from .scale_mixture import Tails, moments
 from .variational import contradictions
 
@@ -29,7 +30,7 @@ class Posterior(NamedTuple):
     Attributes
     ----------
     covariance : (S, S)
-        Second moment of the unknowns of :func:`camera_rows` about the estimate, poses marginalised.
+        Second moment of the unknowns of :class:`Eliminated` about the estimate, poses marginalised.
     prior_covariance : (S, S)
         What was known before the first view, the precision of every prior at its mean.
     views : (V, S, S)
@@ -60,7 +61,7 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
         Those of its priors are not looked at.
     tails : Tails
     """
-    reduced = camera_rows(rows)
+    reduced = eliminate(rows).camera
     J, r = reduced[..., :-1], reduced[..., -1]
     data = J.reshape(-1, J.shape[-1])
     found = moments(data, r.ravel(), tails)
@@ -73,34 +74,14 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
         covariance_from_rows(normal),
         np.swapaxes(J, -1, -2) @ J,
         normal.T @ (precision[:, None] * normal),
-        contradictions(data, r.ravel(), tails)[-len(normal) :],
+        contradictions(data, r.ravel(), tails, found.covariance)[-len(normal) :],
     )
 
 
 def gaussian_covariance(rows: Rows) -> Array:
     """Covariance (S, S) of the camera from the rows of its linearisation, those of the priors among them."""
-    J = camera_rows(rows)[..., :-1]
+    J = eliminate(rows).camera[..., :-1]
     return covariance_from_rows(np.concatenate([J.reshape(-1, J.shape[-1]), rows.prior_by_camera]))
-
-
-def camera_rows(rows: Rows) -> Array:
-    """Eliminate the pose of each view.
-
-    Returns
-    -------
-    (V, S + 1, S + 1) upper triangular rows, the residual in the last column. J'J of the others is the
-    information of that view about the S unknowns that all views share.
-    """
-    pose_count, size = rows.by_pose.shape[-1], rows.by_camera.shape[-1] + 1
-    stacked = np.concatenate([rows.by_pose, rows.by_camera, rows.r[..., None]], axis=-1)
-    length = np.linalg.norm(stacked, axis=1, keepdims=True)
-    length = np.where(length > 0, length, 1)
-    missing = pose_count + size - stacked.shape[1]
-    if missing > 0:
-        stacked = np.pad(stacked, ((0, 0), (0, missing), (0, 0)))
-    triangle = np.asarray(np.linalg.qr(stacked / length, mode="r"))
-    reduced: Array = triangle[:, pose_count:, pose_count:] * length[:, :, pose_count:]
-    return reduced
 
 
 def covariance_from_rows(rows: Array) -> Array:

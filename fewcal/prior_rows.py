@@ -58,8 +58,8 @@ class PriorRows:
 
     Each unknown, or each d that have one prior together, such as the radial terms, is first brought to zero
     mean and unit scale, z. With nu degrees of freedom the density of a prior is then
-    (1 + |z|^2 / nu)^(-(nu + d) / 2), and that of a normal one the same with nu infinite. The radial terms have a prior for each of C kinds of
-    lenses, and the density of their mixture, since a lens is of one kind.
+    (1 + |z|^2 / nu)^(-(nu + d) / 2), and that of a normal one the same with nu infinite. The radial terms
+    have a prior for each of C kinds of lenses, and the density of their mixture, since a lens is of one kind.
 
     There are K = 2 (C - 1) + 11 rows: two for each kind of lenses but the last, and one for each unknown,
     where those of the radial terms belong to the last kind.
@@ -67,7 +67,7 @@ class PriorRows:
     Attributes
     ----------
     whiten, offset, follow : (K, 11), (K,), (K, 2)
-        z = whiten theta - offset - follow (rc^2, rc^4), see :class:`fewcal.RadialPrior`.
+        z = whiten theta - offset - follow (rc^1.5, rc^2), see :class:`fewcal.RadialPrior`.
     corner : float
         ln rc + ln fx.
     tail : (K,)
@@ -110,9 +110,9 @@ class PriorRows:
         kinds: tuple[RadialPrior, ...],
         corner: float,
     ) -> PriorRows:
-        """Gather the kinds of lenses, and of the unknowns but the radial terms mean, scale, nu and prior (9,).
+        """Gather mean, scale and nu (9,) of the unknowns but the radial terms, and the kinds of lenses.
 
-        Those of which the prior, a number from zero on, is the same have one together.
+        Unknowns with the same number as their `prior` (9,), which count from zero, have one together.
         """
         count, lenses = len(kinds), Lenses.of(kinds)
         single = count + prior
@@ -125,7 +125,7 @@ class PriorRows:
         for kind, triangle in enumerate(triangles):
             pair = np.flatnonzero(group == kind)
             whiten[pair[:, None], RADIAL], tail[pair] = triangle, 1 / kinds[kind].nu
-            offset[pair], follow[pair] = triangle @ lenses.terms[kind], triangle * lenses.k[kind]
+            offset[pair], follow[pair] = triangle @ lenses.terms[kind], triangle * lenses.growth[kind]
         together = (group[:, None] == group).astype(float)
         belongs = (group[:, None] == np.arange(count)).astype(float)
         height = np.log(lenses.share * triangles[:, 0, 0] * triangles[:, 1, 1])
@@ -171,8 +171,8 @@ class PriorRows:
         It is the root of -2 ln of the density over the greatest: standard deviations, for a normal prior.
         """
         at = self._density(theta[None])
-        rows = slice(at.values.shape[1] - len(theta), None)
-        values = at.values[0] @ self.together[: at.values.shape[1], rows]
+        count = at.values.shape[1]
+        values = at.values[0] @ self.together[:count, count - len(theta) : count]
         values[RADIAL] = at.radial[0]
         return np.sqrt(values)
 

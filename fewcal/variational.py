@@ -1,14 +1,15 @@
 """The middle of a posterior whose priors have heavy tails, instead of its highest point.
 
 A t prior is a normal one of unknown precision, and the kind of a lens is unknown. At the highest point both
-are taken as if the camera were known exactly: a prior that is narrow for some cameras draws the estimate to
-its middle, however wide the posterior, and the kind of lenses with the narrower prior wins. So the posterior
-is replaced by the product of a normal distribution of the unknowns and one of the precisions and kinds that
-comes nearest to it (variational Bayes; Bishop 2006, chapter 10), which is symmetric about its middle.
+are what they would be were the camera known exactly, so that a prior with a sharp middle draws the estimate
+there, however wide the posterior is. So the posterior is replaced by the product of a normal distribution of
+the unknowns and one of precisions and kinds that comes nearest to it (variational Bayes; Bishop 2006, chapter
+10), and the mean of the normal one is taken.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +20,10 @@ from .scale_mixture import Tails, whitened
 Array = NDArray[np.float64]
 
 _STEPS = 200
-_SETTLED = 1e-6
+_CONVERGED = 1e-4
 """Change of the middle at which it is found, standard deviations."""
+SLIGHT = 0.01
+"""Share of a prior in what is known of its quantity, below which the rest says the same without it."""
 
 
 class Middle(NamedTuple):
@@ -30,17 +33,33 @@ class Middle(NamedTuple):
     ----------
     step : (S,) from the estimate to its mean
     covariance : (S, S)
+    length : float
+        Of the step, in standard deviations.
+    squares : (K,)
+        Expected squares of the rows of the priors.
+    variance : float
+        Of the rows of the data, relative to what they came with.
     """
 
     step: Array
     covariance: Array
+    length: float
+    squares: Array
+    variance: float
 
 
-def middle(J: Array, r: Array, tails: Tails, squares: Array | None = None) -> Middle | None:
+def middle(
+    J: Array,
+    r: Array,
+    tails: Tails,
+    squares: Array | None = None,
+    variance: Callable[[float], float] = lambda left: 1.0,
+) -> Middle | None:
     """Find the normal distribution of the unknowns that comes nearest to the posterior.
 
     Either distribution in turn is updated by the expectation over the other one: precisions are those of the
-    t priors at the expected squares of their rows, E|z|^2 = |E z|^2 + trace of the covariance of z.
+    t priors at the expected squares of their rows, E|z|^2 = |E z|^2 + trace of the covariance of z. The
+    variance of the data follows what is left of their rows.
 
     Parameters
     ----------
@@ -49,15 +68,19 @@ def middle(J: Array, r: Array, tails: Tails, squares: Array | None = None) -> Mi
     tails : Tails
     squares : (K,), optional
         Squares of the rows of the priors to start from; those at the estimate when left out.
+    variance : callable
+        Variance of the rows of the data for a sum of their squares.
 
     Returns
     -------
     Middle
-        None where nothing holds an unknown.
+        None where nothing holds an unknown, or rounding decides.
     """
-    first = _precision(tails, tails.z**2 if squares is None else squares)
+    expected = tails.z**2 if squares is None else squares
+    precisions = _precisions(tails)
+    first = precisions(expected)
     near = np.sqrt(first)
-    _, inverse, y = whitened(
+    T, inverse, y = whitened(
         np.concatenate([J, near[:, None] * tails.by_unknowns]), np.concatenate([r, near * tails.z])
     )
     if not np.isfinite(inverse).all():
@@ -65,18 +88,25 @@ def middle(J: Array, r: Array, tails: Tails, squares: Array | None = None) -> Mi
     # In e = T step + y, where the first posterior is a unit normal, the others are well-conditioned too.
     W = tails.by_unknowns @ inverse
     z = tails.z - W @ y
-    e, covariance, unit = np.zeros(len(y)), np.eye(len(y)), np.eye(len(y))
+    of_data, left = J @ inverse, r - J @ (inverse @ y)
+    e, covariance, unit, v = np.zeros(len(y)), np.eye(len(y)), np.eye(len(y)), 1.0
     for _ in range(_STEPS):
         before = e
-        more = _precision(tails, (z + W @ e) ** 2 + ((W @ covariance) * W).sum(axis=1)) - first
-        covariance = np.linalg.inv(unit + (W.T * more) @ W)
+        expected = (z + W @ e) ** 2 + ((W @ covariance) * W).sum(axis=1)
+        v = variance(float(np.sum((left + of_data @ e) ** 2)))
+        more = precisions(expected) - first / v
+        try:
+            covariance = np.linalg.inv(unit / v + (W.T * more) @ W)
+        except np.linalg.LinAlgError:
+            return None
         e = -covariance @ (W.T @ (more * z))
-        if np.abs(e - before).max() < _SETTLED:
+        if np.abs(e - before).max() < _CONVERGED:
             break
-    return Middle(inverse @ (e - y), inverse @ covariance @ inverse.T)
+    length = float(np.linalg.norm(e - y))
+    return Middle(inverse @ (e - y), inverse @ covariance @ inverse.T, length, expected, v)
 
 
-def contradictions(J: Array, r: Array, tails: Tails) -> Array:
+def contradictions(J: Array, r: Array, tails: Tails, covariance: Array) -> Array:
     """How far each normal prior is from what everything else says, in standard deviations of the two together.
 
     A prior that is stated surely leaves no residual at the estimate, whatever the others say, and priors with
@@ -87,6 +117,8 @@ def contradictions(J: Array, r: Array, tails: Tails) -> Array:
     J : (M, S), r : (M,)
         Rows of the data, see :func:`middle`.
     tails : Tails
+    covariance : (S, S)
+        Of the unknowns, with all priors.
 
     Returns
     -------
@@ -94,26 +126,34 @@ def contradictions(J: Array, r: Array, tails: Tails) -> Array:
     """
     found = np.zeros(len(tails.z))
     for row in np.flatnonzero(np.isinf(tails.nu[tails.group])):
-        kept = (np.arange(len(found)) != row).astype(float)
+        by_unknowns = tails.by_unknowns[row]
+        if by_unknowns @ covariance @ by_unknowns < SLIGHT:
+            found[row] = tails.z[row]
+            continue
+        kept = np.arange(len(found)) != row
         others = tails._replace(z=kept * tails.z, by_unknowns=kept[:, None] * tails.by_unknowns)
         without = middle(J, r, others, squares=np.zeros(len(found)))
         if without is not None:
-            by_unknowns = tails.by_unknowns[row]
             z = tails.z[row] + by_unknowns @ without.step
             found[row] = z / np.sqrt(1 + by_unknowns @ without.covariance @ by_unknowns)
     return found
 
 
-def _precision(tails: Tails, squares: Array) -> Array:
+def _precisions(tails: Tails) -> Callable[[Array], Array]:
     """Expected precision (K,) of each row of the priors, for the expected squares (K,) of their z."""
-    size = np.bincount(tails.group)
-    squares = np.bincount(tails.group, squares)
-    heavy = np.isfinite(tails.nu)
-    nu = np.where(heavy, tails.nu, 1.0)
-    precision = np.where(heavy, (nu + size) / (nu + squares), 1.0)
-    if len(tails.height) > 1:
-        own = slice(len(tails.height))
-        log_share = tails.height - (nu[own] + size[own]) / 2 * np.log1p(squares[own] / nu[own])
-        share = np.exp(log_share - log_share.max())
-        precision[own] *= share / share.sum()
-    return precision[tails.group]
+    group, tail = tails.group, 1 / tails.nu
+    size = np.bincount(group)
+    factor, own = 1 + size * tail, slice(len(tails.height))
+    half = (tails.nu[own] + size[own]) / 2
+
+    def precisions(squares: Array) -> Array:
+        q = np.bincount(group, squares) * tail
+        precision = factor / (1 + q)
+        if len(half) > 1:
+            log_share = tails.height - half * np.log1p(q[own])
+            share = np.exp(log_share - log_share.max())
+            precision[own] *= share / share.sum()
+        found: Array = precision[group]
+        return found
+
+    return precisions

@@ -14,11 +14,9 @@ from fewcal.map_estimator import estimate_map
 from fewcal.posterior import (
     NAMES,
     Posterior,
-    camera_rows,
     covariance_from_rows,
     determined_share,
     gaussian_covariance,
-    leave_one_out,
     posterior,
     projection_std,
 )
@@ -98,17 +96,6 @@ def test_what_no_row_holds_is_infinitely_uncertain(J: Array) -> None:
 # --- poses eliminated --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_camera_rows_hold_the_schur_complement_of_each_view(seed: int) -> None:
-    rows = random_rows(seed)
-    reduced = camera_rows(rows)
-    assert reduced.shape == (3, 9, 9)
-    for v in range(3):
-        A, P = np.column_stack([rows.by_camera[v], rows.r[v]]), rows.by_pose[v]
-        expected = A.T @ A - A.T @ P @ inverse(P.T @ P) @ P.T @ A
-        assert_alike(reduced[v].T @ reduced[v], expected)
-
-
 @pytest.mark.parametrize("points", [4, 6, 7, 12])
 def test_gaussian_covariance_is_the_camera_block_of_the_whole_covariance(points: int) -> None:
     rows = random_rows(5, points=points)
@@ -163,26 +150,6 @@ def test_determined_share_is_the_variance_that_the_data_removed() -> None:
 
 
 # --- priors against everything else ------------------------------------------------------------------------
-
-
-@given(seed=st.integers(0, 1000))
-def test_a_row_left_out_is_held_against_what_the_others_say(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    J = rng.normal(size=(30, 4)) * 10.0 ** rng.uniform(-3, 3, 4)
-    r = rng.normal(size=30)
-    J[-1] *= 10.0 ** rng.uniform(-2, 4)
-    found = leave_one_out(J, r)
-    for i in (0, 29):
-        J_others, r_others = np.delete(J, i, axis=0), np.delete(r, i)
-        step = -np.linalg.lstsq(J_others, r_others, rcond=None)[0]
-        spread = J[i] @ inverse(J_others.T @ J_others) @ J[i]
-        expected = (r[i] + J[i] @ step) / np.sqrt(1 + spread)
-        assert found[i] == pytest.approx(expected, rel=1e-4, abs=1e-6)
-
-
-def test_a_row_that_alone_speaks_of_an_unknown_contradicts_nothing() -> None:
-    J = np.array([[1.0, 0], [1, 0], [0, 1]])
-    np.testing.assert_allclose(leave_one_out(J, np.array([1.0, -1, 5])), [2**0.5, -(2**0.5), 0])
 
 
 def test_only_normal_priors_are_held_against_the_rest() -> None:

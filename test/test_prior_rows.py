@@ -75,8 +75,8 @@ def test_the_density_of_the_radial_terms_is_that_of_the_mixture(
 
     def log_density(at: Array) -> float:
         corner = min(CORNER / stretch, 2.0)
-        power = np.array([corner**2, corner**4])
-        means = [np.array(kind.terms) + np.array(kind.k) * power for kind in kinds]
+        power = np.array([corner**1.5, corner**2])
+        means = [np.array(kind.terms) + np.array(kind.growth) * power for kind in kinds]
         parts = [
             np.log(kind.share) + multivariate_t(mean, kind.covariance, df=kind.nu).logpdf(at)
             for kind, mean in zip(kinds, means, strict=True)
@@ -135,7 +135,7 @@ def test_the_rows_have_the_slope_of_the_density() -> None:
 def test_the_quadratic_model_has_the_curvature_of_the_density_near_the_middle_of_a_kind() -> None:
     rows = Priors(radial=LENSES[1:]).rows(SIZE)
     theta = random_cameras(0.05)
-    theta[:, 4:6] += np.array([-0.258 * CORNER**2, 0.054 * CORNER**4]) - [-0.05, 0.01]
+    theta[:, 4:6] += np.array([-0.294 * CORNER**1.5, 0.078 * CORNER**2]) - [-0.05, 0.01]
     numeric = differences(lambda at: rows.quadratic(at)[:, 8, :8], theta, 1e-7)
     assert_derivative(rows.quadratic(theta)[:, 4:8, 4:8], numeric[:, 4:8, 4:8], 1e-2)
 
@@ -151,6 +151,7 @@ def test_the_quadratic_model_is_convex(spread: float) -> None:
 def test_each_distance_speaks_of_what_it_is_named_after(column: int) -> None:
     names = ["focal length", "aspect ratio", "principal point x", "principal point y"]
     names += ["radial distortion"] * 2 + ["tangential distortion"] * 2
+    both = {"principal point x", "principal point y"}
     theta = np.array([math.log(1000), 0.001, 0.01, -0.02, -0.1, 0.02, 0.0005, -0.0003])
     moved = theta.copy()
     moved[column] += 0.01
@@ -158,6 +159,8 @@ def test_each_distance_speaks_of_what_it_is_named_after(column: int) -> None:
     differs = np.abs(rows.distance(theta) - rows.distance(moved)) > 1e-9
     # A long lens is expected to distort less, so the focal length moves the radial terms as well.
     expected = {names[column]} | ({"radial distortion"} if column == 0 else set())
+    # And a centre that is off in x may well be off in y.
+    expected |= both if names[column] in both else set()
     assert {PRIOR_ROWS[i] for i in np.flatnonzero(differs)} == expected
 
 
@@ -165,16 +168,36 @@ def test_tails_are_the_rows_of_each_prior() -> None:
     theta = np.array([6.8, 0.004, 0.03, -0.02, -0.3, 0.2, 0.004, -0.001, 7e-4, -2e-4, 0.01])
     rows = Priors().rows(SIZE)
     tails = rows.tails(theta)
-    np.testing.assert_allclose(tails.nu, [1.5, 6, np.inf, 2, 3, 3, 1.25, 1.25, 2, 2, 1])
-    np.testing.assert_array_equal(tails.group, [0, 0, 2, 3, 4, 5, 1, 1, 6, 7, 8, 9, 10])
+    np.testing.assert_allclose(tails.nu, [1.5, 3, np.inf, 1.15, 1.7, 0.9, 2, 2, 1])
+    np.testing.assert_array_equal(tails.group, [0, 0, 2, 3, 4, 4, 1, 1, 5, 5, 6, 7, 8])
     alone = rows.tails(theta[:8])
     np.testing.assert_array_equal(alone.z, tails.z[:10])
-    np.testing.assert_array_equal(alone.nu, tails.nu[:8])
+    np.testing.assert_array_equal(alone.nu, tails.nu[:6])
     assert_derivative(tails.by_unknowns, differences(lambda x: rows.tails(x).z, theta, 1e-6), 1e-6)
     together = np.bincount(tails.group, tails.z**2)[2:]
     nu = np.where(np.isinf(tails.nu), 1e12, tails.nu)[2:]
-    expected = np.sqrt((nu + 1) * np.log1p(together / nu))
-    np.testing.assert_allclose(rows.distance(theta)[[0, 1, 2, 3, 6, 7, 8, 9, 10]], expected, rtol=1e-3)
+    expected = np.sqrt((nu + [1, 1, 2, 2, 1, 1, 1]) * np.log1p(together / nu))
+    np.testing.assert_allclose(rows.distance(theta)[[0, 1, 2, 6, 8, 9, 10]], expected, rtol=1e-3)
+
+
+@pytest.mark.parametrize("columns", [(2, 3), (6, 7)])
+def test_two_unknowns_of_one_t_prior_have_its_density(columns: tuple[int, int]) -> None:
+    priors = Priors()
+    t = {2: priors.principal_point_x, 6: priors.tangential}[columns[0]]
+    density = multivariate_t([0, 0], t.scale**2 * np.eye(2), df=t.nu)
+    at = t.scale * np.array([[0, 0], [1, 0], [0.6, -0.8], [3, 20], [-100, 5]])
+    theta = cameras(0, np.full(len(at), math.log(1088)))
+    theta[:, columns] = at
+    expected = density.logpdf([0, 0]) - density.logpdf(at)
+    squares = priors.rows(SIZE).squares(theta)
+    np.testing.assert_allclose(0.5 * (squares - squares[0]), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_centre_known_in_x_says_nothing_of_y() -> None:
+    rows = Priors(principal_point_x=Normal(0.0, 0.001)).rows(SIZE)
+    theta = np.array([math.log(1088), 0, 0.0, 0.02, 0, 0, 0, 0])
+    moved = theta + [0, 0, 0.002, 0, 0, 0, 0, 0]
+    np.testing.assert_allclose(rows.distance(moved) - rows.distance(theta), [0, 0, 2, 0, 0, 0, 0, 0], atol=1e-9)
 
 
 def test_the_normal_prior_is_as_wide_as_the_kinds_of_lenses_together() -> None:
@@ -182,7 +205,7 @@ def test_the_normal_prior_is_as_wide_as_the_kinds_of_lenses_together() -> None:
     normal = Priors(log_focal_over_width=Normal(-0.16, 1e-6)).rows(SIZE).tails(theta).normal
     assert normal is not None
     rng = np.random.default_rng(3)
-    mean = np.array([[0.012, -0.0154], [-0.258 * CORNER**2, 0.054 * CORNER**4]])
+    mean = np.array([[0.012, -0.0161], [-0.294 * CORNER**1.5, 0.078 * CORNER**2]])
     drawn = [
         rng.multivariate_normal(mean[i], LENSES[i].covariance, int(1e5 * LENSES[i].share)) for i in (0, 1)
     ]

@@ -14,13 +14,13 @@ Array = NDArray[np.float64]
 ROUND = ((1.0, 0.0), (0.0, 1.0))
 
 
-def test_a_kind_lies_about_its_terms_and_its_coefficients() -> None:
-    kinds = (RadialPrior(2.0, ROUND, (0.1, -0.2), share=3.0), RadialPrior(2.0, ROUND, k=(-0.3, 0.05)))
+def test_a_kind_lies_about_its_terms_and_grows_with_the_corner() -> None:
+    kinds = (RadialPrior(2.0, ROUND, (0.1, -0.2), share=3.0), RadialPrior(2.0, ROUND, growth=(-0.3, 0.05)))
     lenses = Lenses.of(kinds)
     np.testing.assert_allclose(lenses.share, [0.75, 0.25])
     means, slopes = lenses.means(np.array([0.5, 0.8]))
     np.testing.assert_allclose(means[:, 0], [[0.1, -0.2]] * 2)
-    np.testing.assert_allclose(means[1, 1], [-0.3 * 0.8**2, 0.05 * 0.8**4])
+    np.testing.assert_allclose(means[1, 1], [-0.3 * 0.8**1.5, 0.05 * 0.8**2])
     assert (slopes[:, 0] == 0).all()
 
 
@@ -37,7 +37,7 @@ def test_slope_by_the_focal_length(corner: float) -> None:
 
 
 def test_powers_end_where_lenses_do() -> None:
-    np.testing.assert_allclose(powers(np.array([0.5, 5.0])), [[0.25, 0.0625], [WIDEST**2, WIDEST**4]])
+    np.testing.assert_allclose(powers(np.array([0.5, 5.0])), [[0.5**1.5, 0.25], [WIDEST**1.5, WIDEST**2]])
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_powers_end_where_lenses_do() -> None:
         ("nu", math.inf),
         ("share", 0.0),
         ("terms", (math.nan, 0.0)),
-        ("k", (0.0, math.inf)),
+        ("growth", (0.0, math.inf)),
         ("covariance", ((1.0, 2.0), (2.0, 1.0))),
     ],
 )

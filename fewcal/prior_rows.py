@@ -168,13 +168,16 @@ class PriorRows:
     def distance(self, theta: Array) -> Array:
         """How far (S,) each unknown of a camera (S,) lies out, those that have one prior together.
 
-        It is the root of -2 ln of the density over the greatest: standard deviations, for a normal prior.
+        The radial terms from the nearest kind of lenses. In standard deviations: two unknowns of a t prior lie
+        farther out than |z| as often as two of a normal one lie farther out than sqrt(nu ln(1 + |z|^2 / nu)),
+        and for one unknown that is nearly so.
         """
         at = self._density(theta[None])
-        count = at.values.shape[1]
-        values = at.values[0] @ self.together[:count, count - len(theta) : count]
-        values[RADIAL] = at.radial[0]
-        return np.sqrt(values)
+        distance = (at.squares * at.logarithm)[0]
+        of_kind = np.where(self.kinds[: len(distance)] > 0, distance[:, None], np.inf).min(axis=0)
+        distance = distance[-len(theta) :].copy()
+        distance[RADIAL] = of_kind.min()
+        return np.sqrt(distance)
 
     def quadratic(self, theta: Array) -> Array:
         """Second-order model of -2 ln of the density, in the place of [J, r]' [J, r].

@@ -4,8 +4,8 @@ Cameras come from the estimator's prior (:class:`fewcal.Priors`), or from one wh
 ratio are spread several times as wide. Corner errors come from one of :data:`ERRORS`:
 
 assumed
-    What the estimator believes (doc/estimator.md): a bent board, a lens with a remainder, errors of scatter s
-    that four corners share, and on top of them errors of min(0.3 px, 3 s) of which only the part that camera
+    What the estimator believes (doc/estimator.md): a bent and stretched board, a lens with a remainder, errors
+    of scatter s that four corners share, and on top of them errors of min(0.3 px, 3 s) of which only the part that camera
     and poses absorb is kept.
 iid
     Independent errors of 0.03 to 0.3 px.
@@ -59,6 +59,8 @@ PRINT_ERROR, PRINT_STRETCH = 1e-4, 5e-4
 """Standard deviations: of a printed corner, in diagonals of the board, and of the print's aspect ratio."""
 LARGEST = 10.0
 """Scales that neither a bend nor a remainder of the lens exceeds."""
+LARGEST_STRETCH = 0.01
+"""That no print exceeds."""
 PRINT_SQUARES = 2.0
 """Distance in squares over which printing errors are alike."""
 SEVENTH, THIN_PRISM, UNEVEN = 0.008, 5e-4, 5e-4
@@ -182,7 +184,9 @@ def assumed(scene: Scene, rng: np.random.Generator, far_out: float | None = None
     median, spread = priors.corner_sigma_px
     scatter = median * np.exp(spread * (rng.normal() if far_out is None else far_out))
     bend = np.array([_draw(priors.board_bend, rng) for _ in range(2)])
-    exact = scene.pixels(_lifted(scene.board.points, bend.clip(-LARGEST * BEND, LARGEST * BEND)))
+    points = _lifted(scene.board.points, bend.clip(-LARGEST * BEND, LARGEST * BEND))
+    points[:, 0] *= np.exp(np.clip(_draw(priors.print_stretch, rng), -LARGEST_STRETCH, LARGEST_STRETCH))
+    exact = scene.pixels(points)
     remainder = np.clip(_draw(priors.lens_remainder, rng), -LARGEST * SEVENTH, LARGEST * SEVENTH)
     exact += remainder * radial_remainder(exact.swapaxes(1, 2), scene.size).swapaxes(1, 2)
     # The covariances of one corner with all others sum to 2 pi l^2 for errors alike over l squares.

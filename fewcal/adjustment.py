@@ -99,6 +99,8 @@ class Adjustment:
         board = self.views.points
         size = self.model.size
         columns = np.empty((*rotation.shape[:2], POSE + theta.shape[1] + 1, *board.shape[-2:]))
+        if self.departures is not None:
+            board = board + theta[:, -1, None, None, None] * self.departures.stretch
         points = rotation[..., :2] @ board
         points += position[..., None]
         if self.departures is not None:
@@ -123,9 +125,10 @@ class Adjustment:
         if self.departures is not None:
             turn[:, :, 0] -= d[:, :, 1] * lift
             turn[:, :, 1] += d[:, :, 0] * lift
-            columns[:, :, -1] = camera[:, :, -1] + theta[:, -1, None, None, None] * self.departures.shift
-            np.multiply(d[:, :, 2, None], self.departures.lift[:, :, None], out=columns[:, :, -4:-2])
-            columns[:, :, -2] = self.departures.shift
+            columns[:, :, -1] = camera[:, :, -1] + theta[:, -2, None, None, None] * self.departures.shift
+            np.multiply(d[:, :, 2, None], self.departures.lift[:, :, None], out=columns[:, :, -5:-3])
+            columns[:, :, -3] = self.departures.shift
+            columns[:, :, -2] = (d[:, :, :2] * self.departures.stretch[:, :, None]).sum(axis=2)
         columns[:, :, -1] -= self.views.pixels
         columns *= self.views.weights[..., None, None, :]
         return columns

@@ -66,8 +66,9 @@ class Calibration:
         Residual, in standard deviations, of each prior that the estimate contradicts.
     sigma_px : float
         Standard deviation of a point that the error bars rest on, pixels.
-    departures : (3,)
-        Bend of the board along x and along y, and remainder of the lens, as :class:`Priors` counts them. The
+    departures : (4,)
+        Bend of the board along x and along y, remainder of the lens, and stretch of the print, as
+        :class:`Priors` counts them. The
         camera is the best one beside them; `view_rms` and `rms` are of the camera alone. Zero but for map.
     verdict : Verdict
     """

@@ -104,6 +104,8 @@ class Priors:
         Of the board's bend along either side, as a share of its diagonal, see :mod:`fewcal.departures`.
     lens_remainder : Distribution
         Of the r^7 term of the lens, in half diagonals at the corner of the image.
+    print_stretch : Distribution
+        Of ln(width / height) of the board's squares as they were printed, 0 where they are square.
     corner_sigma_px : (float, float)
         Median of the corner noise, pixels, and the standard deviation of its logarithm.
     """
@@ -117,6 +119,7 @@ class Priors:
     tangential: Distribution = StudentT(0.9, 0.0009)
     board_bend: Distribution = StudentT(2.0, 5e-4)
     lens_remainder: Distribution = StudentT(1.0, 0.008)
+    print_stretch: Distribution = StudentT(2.0, 7e-4)
     corner_sigma_px: tuple[float, float] = (0.25, 1.0)
 
     def __post_init__(self) -> None:
@@ -149,11 +152,12 @@ class Priors:
             self.board_bend,
             self.board_bend,
             self.lens_remainder,
+            self.print_stretch,
         )
         mean, scale, nu = np.array([(d.mean, d.scale, d.nu) for d in single]).T
         mean[0] += math.log(max(image_size))
         centre_y = 2 if nu[2] == nu[3] else 3
-        prior = np.unique([0, 1, 2, centre_y, 4, 4, 5, 6, 7], return_inverse=True)[1]
+        prior = np.unique([0, 1, 2, centre_y, 4, 4, 5, 6, 7, 8], return_inverse=True)[1]
         return PriorRows.of(mean, scale, nu, prior, self.radial, math.log(math.hypot(*image_size) / 2))
 
 
@@ -165,6 +169,7 @@ _SINGLE = (
     "tangential",
     "board_bend",
     "lens_remainder",
+    "print_stretch",
 )
 """Fields of :class:`Priors` that are distributions of one number."""
 

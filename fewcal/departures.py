@@ -1,8 +1,9 @@
-"""What board and lens do that the model leaves out: the board bends, the lens is not quite plumb_bob.
+"""What board and lens do that the model leaves out: boards bend and are stretched, lenses are not quite plumb_bob.
 
-A bend of a thousandth of the board's size moves the focal length by per cents, and all views share it. So two
-coefficients of a bend and one of the lens are unknowns beside the camera, with priors of what real boards and
-lenses do (`Priors.board_bend`, `Priors.lens_remainder`).
+A bend of a thousandth of the board's size, or squares that are as much longer than wide, move the focal length
+by per cents, and all views share it. So two coefficients of a bend, one of the lens and one of the print are
+unknowns beside the camera, with priors of what real boards and lenses do (`Priors.board_bend`,
+`Priors.lens_remainder`, `Priors.print_stretch`).
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-COUNT = 3
-"""Unknowns after those of the camera: the bend along x, along y, and the remainder of the lens."""
+COUNT = 4
+"""Unknowns after those of the camera: the bend along x, along y, the remainder of the lens, and the stretch."""
 _CELLS = 32
 
 
@@ -27,15 +28,17 @@ class Departures(NamedTuple):
     ----------
     lift : (V, 2, N) along the board's normal, metres, by the bend along x and by the one along y
     shift : (V, 2, N) in the image, pixels, by the remainder of the lens
+    stretch : (V, 2, N) in the board's plane, metres, by squares that are e times as wide as high
     """
 
     lift: Array
     shift: Array
+    stretch: Array
 
     @classmethod
     def of(cls, points: Array, pixels: Array, image_size: tuple[int, int]) -> Departures:
         """Departures of points (V, 2, N) of boards, metres, that are seen at pixels (V, 2, N)."""
-        return cls(lifts(points), lens_remainder(pixels, image_size))
+        return cls(lifts(points), lens_remainder(pixels, image_size), points * [[0.5], [-0.5]])
 
 
 def lifts(points: Array) -> Array:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .departures import COUNT
 from .least_squares import diagonal
 from .radial_prior import GROWTH, WIDEST, Lenses, RadialPrior, powers
 from .scale_mixture import Tails
@@ -19,7 +20,8 @@ STIFFNESS = 0.7
 """Least curvature of a t prior along its argument, as a share of Gauss-Newton's."""
 RADIAL = [4, 5]
 """The radial terms among the unknowns."""
-_SINGLE = np.array([0, 1, 2, 3, 6, 7, 8, 9, 10])
+_UNKNOWNS = 8 + COUNT
+_SINGLE = np.array([0, 1, 2, 3, 6, 7, 8, 9, 10, 11])
 """Unknowns but the radial terms."""
 
 
@@ -61,12 +63,12 @@ class PriorRows:
     (1 + |z|^2 / nu)^(-(nu + d) / 2), and that of a normal one the same with nu infinite. The radial terms
     have a prior for each of C kinds of lenses, and the density of their mixture, since a lens is of one kind.
 
-    There are K = 2 (C - 1) + 11 rows: two for each kind of lenses but the last, and one for each unknown,
+    There are K = 2 (C - 1) + 12 rows: two for each kind of lenses but the last, and one for each unknown,
     where those of the radial terms belong to the last kind.
 
     Attributes
     ----------
-    whiten, offset, follow : (K, 11), (K,), (K, 2)
+    whiten, offset, follow : (K, 12), (K,), (K, 2)
         z = whiten theta - offset - follow (rc^1.5, rc^2), see :class:`fewcal.RadialPrior`.
     corner : float
         ln rc + ln fx.
@@ -110,16 +112,16 @@ class PriorRows:
         kinds: tuple[RadialPrior, ...],
         corner: float,
     ) -> PriorRows:
-        """Gather mean, scale and nu (9,) of the unknowns but the radial terms, and the kinds of lenses.
+        """Gather mean, scale and nu (10,) of the unknowns but the radial terms, and the kinds of lenses.
 
-        Unknowns with the same number as their `prior` (9,), which count from zero, have one together.
+        Unknowns with the same number as their `prior` (10,), which count from zero, have one together.
         """
         count, lenses = len(kinds), Lenses.of(kinds)
         single = count + prior
         group = np.concatenate([np.repeat(np.arange(count - 1), 2), single[:4], [count - 1] * 2, single[4:]])
-        whiten, offset, follow = np.zeros((len(group), 11)), np.zeros(len(group)), np.zeros((len(group), 2))
+        whiten, offset, follow = np.zeros((len(group), _UNKNOWNS)), np.zeros(len(group)), np.zeros((len(group), 2))
         tail = np.empty(len(group))
-        rows = len(group) - 11 + _SINGLE
+        rows = len(group) - _UNKNOWNS + _SINGLE
         whiten[rows, _SINGLE], offset[rows], tail[rows] = 1 / scale, mean / scale, 1 / nu
         triangles = np.linalg.inv(np.linalg.cholesky(lenses.covariance))
         for kind, triangle in enumerate(triangles):
@@ -151,7 +153,7 @@ class PriorRows:
         ----------
         theta : (B, S)
             Scale-free camera: ln fx, ln(fy / fx), principal point offset in diagonals (x, y), a1, a2, b1, b2;
-            with S = 11 also bend along x, bend along y and remainder of the lens.
+            with S = 12 also the departures of board and lens.
 
         Returns
         -------
@@ -233,7 +235,7 @@ class PriorRows:
 
     def _density(self, theta: Array) -> _Density:
         size = theta.shape[1]
-        rows = slice(len(self.group) - 11 + size)
+        rows = slice(len(self.group) - _UNKNOWNS + size)
         whiten, follow, together, kinds = (
             self.whiten[rows, :size],
             self.follow[rows],

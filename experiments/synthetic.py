@@ -4,9 +4,9 @@ Cameras come from the estimator's prior (:class:`fewcal.Priors`), or from one wh
 ratio are spread several times as wide. Corner errors come from one of :data:`ERRORS`:
 
 assumed
-    What the estimator believes (doc/estimator.md): a bent and stretched board, a lens with a remainder, errors
-    of scatter s that four corners share, and on top of them errors of min(0.3 px, 3 s) of which only the part that camera
-    and poses absorb is kept.
+    What the estimator believes (doc/estimator.md): a bent and stretched board, a lens with a remainder,
+    errors of scatter s that four corners share, and on top of them errors of min(0.3 px, 3 s) of which only
+    the part that camera and poses absorb is kept.
 iid
     Independent errors of 0.03 to 0.3 px.
 real

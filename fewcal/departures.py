@@ -1,9 +1,10 @@
-"""What board and lens do that the model leaves out: boards bend and are stretched, lenses are not quite plumb_bob.
+"""What board and lens do that the model leaves out.
 
-A bend of a thousandth of the board's size, or squares that are as much longer than wide, move the focal length
-by per cents, and all views share it. So two coefficients of a bend, one of the lens and one of the print are
-unknowns beside the camera, with priors of what real boards and lenses do (`Priors.board_bend`,
-`Priors.lens_remainder`, `Priors.print_stretch`).
+Boards bend, their squares are not quite square, and lenses are not quite plumb_bob. A bend of a thousandth of
+the board's size moves the focal length by per cents, squares that are as much longer than wide by tenths, and
+all views share them. So two coefficients of a bend, one of the lens and one of the print are unknowns beside
+the camera, with priors of what real boards and lenses do (`Priors.board_bend`, `Priors.lens_remainder`,
+`Priors.print_stretch`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 COUNT = 4
-"""Unknowns after those of the camera: the bend along x, along y, the remainder of the lens, and the stretch."""
+"""Unknowns after those of the camera: bend along x, bend along y, remainder of the lens, stretch."""
 _CELLS = 32
 
 

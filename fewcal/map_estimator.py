@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from .adjustment import Adjustment, Estimate, Geometry
 from .closed_form import simplified_intrinsics
-from .constraints import Priors
+from .constraints import Normal, Priors
 from .copies import share_weight
 from .departures import COUNT, Departures
 from .elimination import eliminate
@@ -47,6 +48,8 @@ TRUSTING_PX = 0.01
 """Standard deviation with which data are taken at their word at first; no camera measures better."""
 COMPUTED_PX = 0.02
 """Scatter that the corners of no camera stay below, pixels."""
+NONE = Normal(0.0, 1e-12)
+"""Of a departure that there is not."""
 FOCAL_LIMITS = (0.05, 100.0)
 """Closed-form focal lengths outside this range, in max(width, height), are no use as starts."""
 ENUMERATED_VIEWS = 3
@@ -99,13 +102,15 @@ def estimate_map(
     shared = views if count is None else share_weight(views, count)
     found = _estimate(shared, ScaleFree(image_size), priors)
     if found.lowest_scatter < COMPUTED_PX:
-        # Points this exact were computed: they have no errors to repeat, however alike the views are.
-        if np.any(shared.weights != views.weights):
-            found = _estimate(views, ScaleFree(image_size), priors)
-        # Perhaps they were computed with the paper's camera, whose distortion acts on pixels.
-        in_pixels = _estimate(views, ScaleFree(image_size, in_pixels=True), priors)
-        if in_pixels.objective < found.objective:
-            return in_pixels.estimate
+        # Points this exact were computed: they have no errors to repeat, however alike the views are, and if
+        # board and lens can be perfect they are. Perhaps the camera is the paper's, whose distortion acts on
+        # pixels.
+        exact = replace(priors, board_bend=NONE, lens_remainder=NONE, print_stretch=NONE)
+        perfect = [_estimate(views, ScaleFree(image_size, in_pixels), exact) for in_pixels in (False, True)]
+        best = min(perfect, key=lambda each: each.objective)
+        if best.lowest_scatter < COMPUTED_PX:
+            return best.estimate
+        found = _estimate(views, ScaleFree(image_size), priors)
     return found.estimate
 
 
@@ -142,7 +147,7 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
 def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Geometry, float]:
     """Go from a minimum to the middle of the posterior and to the noise there, and let the boards follow.
 
-    By Gauss-Newton steps; where they do not end, which takes a model that is far from linear, the minimum stays.
+    By Gauss-Newton steps. Where they do not end, the model being far from linear, the minimum stays.
     """
     priors, noise = problem.constraint, problem.noise
     assert isinstance(priors, PriorRows)
@@ -156,7 +161,7 @@ def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Geometry, f
             reduced[:, -1],
             priors.tails(state.theta[0]),
             squares,
-            lambda left, unit=sigma**2: float(noise.variance(np.array([left * unit]))[0]) / unit,
+            partial(_variance, noise, sigma**2),
         )
         if centre is None:
             break
@@ -165,6 +170,11 @@ def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Geometry, f
         if centre.length < SETTLED:
             return state, sigma
     return found.state, float(np.sqrt(found.variance[0]))
+
+
+def _variance(noise: Noise, unit: float, squares: float) -> float:
+    """Variance of rows for their sum of squares, all in units of one variance."""
+    return float(noise.variance(np.array([squares * unit]))[0]) / unit
 
 
 def _ahead(problem: Adjustment, noise: Noise, found: Minimum[Geometry]) -> tuple[float, float]:

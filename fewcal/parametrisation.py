@@ -105,7 +105,7 @@ class ScaleFree(NamedTuple):
         scale = np.sqrt(np.diagonal(covariance))
         value, vector = np.linalg.eigh(covariance / scale / scale[:, None])
         # The triangle, in which the focal length has a part in one of the steps only.
-        triangle = np.linalg.qr((vector * np.sqrt(np.maximum(value, 0))).T, mode="r")
+        triangle = np.asarray(np.linalg.qr((vector * np.sqrt(np.maximum(value, 0))).T, mode="r"))
         steps = math.sqrt(3) * scale * np.concatenate([triangle, -triangle])
         with np.errstate(over="ignore", invalid="ignore"):
             off = self.natural(theta + steps) - self.natural(theta)

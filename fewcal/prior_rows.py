@@ -119,7 +119,11 @@ class PriorRows:
         count, lenses = len(kinds), Lenses.of(kinds)
         single = count + prior
         group = np.concatenate([np.repeat(np.arange(count - 1), 2), single[:4], [count - 1] * 2, single[4:]])
-        whiten, offset, follow = np.zeros((len(group), _UNKNOWNS)), np.zeros(len(group)), np.zeros((len(group), 2))
+        whiten, offset, follow = (
+            np.zeros((len(group), _UNKNOWNS)),
+            np.zeros(len(group)),
+            np.zeros((len(group), 2)),
+        )
         tail = np.empty(len(group))
         rows = len(group) - _UNKNOWNS + _SINGLE
         whiten[rows, _SINGLE], offset[rows], tail[rows] = 1 / scale, mean / scale, 1 / nu
@@ -170,16 +174,16 @@ class PriorRows:
     def distance(self, theta: Array) -> Array:
         """How far (S,) each unknown of a camera (S,) lies out, those that have one prior together.
 
-        The radial terms from the nearest kind of lenses. In standard deviations: two unknowns of a t prior lie
-        farther out than |z| as often as two of a normal one lie farther out than sqrt(nu ln(1 + |z|^2 / nu)),
-        and for one unknown that is nearly so.
+        The radial terms from the nearest kind of lenses. In standard deviations: two unknowns of a t prior
+        lie farther out than |z| as often as two of a normal one lie farther out than
+        sqrt(nu ln(1 + |z|^2 / nu)), and for one unknown that is nearly so.
         """
         at = self._density(theta[None])
         distance = (at.squares * at.logarithm)[0]
         of_kind = np.where(self.kinds[: len(distance)] > 0, distance[:, None], np.inf).min(axis=0)
         distance = distance[-len(theta) :].copy()
         distance[RADIAL] = of_kind.min()
-        return np.sqrt(distance)
+        return np.asarray(np.sqrt(distance))
 
     def quadratic(self, theta: Array) -> Array:
         """Second-order model of -2 ln of the density, in the place of [J, r]' [J, r].

@@ -80,7 +80,7 @@ def middle(
     precisions = _precisions(tails)
     first = precisions(expected)
     near = np.sqrt(first)
-    T, inverse, y = whitened(
+    _, inverse, y = whitened(
         np.concatenate([J, near[:, None] * tails.by_unknowns]), np.concatenate([r, near * tails.z])
     )
     if not np.isfinite(inverse).all():
@@ -89,14 +89,17 @@ def middle(
     W = tails.by_unknowns @ inverse
     z = tails.z - W @ y
     of_data, left = J @ inverse, r - J @ (inverse @ y)
-    e, covariance, unit, v = np.zeros(len(y)), np.eye(len(y)), np.eye(len(y)), 1.0
+    e: Array = np.zeros(len(y))
+    unit: Array = np.eye(len(y))
+    covariance: Array = unit
+    v = 1.0
     for _ in range(_STEPS):
         before = e
         expected = (z + W @ e) ** 2 + ((W @ covariance) * W).sum(axis=1)
         v = variance(float(np.sum((left + of_data @ e) ** 2)))
         more = precisions(expected) - first / v
         try:
-            covariance = np.linalg.inv(unit / v + (W.T * more) @ W)
+            covariance = np.asarray(np.linalg.inv(unit / v + (W.T * more) @ W), dtype=np.float64)
         except np.linalg.LinAlgError:
             return None
         e = -covariance @ (W.T @ (more * z))
@@ -107,7 +110,7 @@ def middle(
 
 
 def contradictions(J: Array, r: Array, tails: Tails, covariance: Array) -> Array:
-    """How far each normal prior is from what everything else says, in standard deviations of the two together.
+    """How far each normal prior is from what all others say, in standard deviations of the two together.
 
     A prior that is stated surely leaves no residual at the estimate, whatever the others say, and priors with
     heavy tails give way to it there. So the middle is found anew without it, from the middle of all others.

@@ -47,7 +47,8 @@ class Thresholds:
     sigma_px : float
         Largest standard deviation of an image point, pixels: no board is that uneven, nor any lens.
     conflict : float
-        Residual of a prior, in standard deviations, from which camera and prior disagree.
+        Residual of a prior, in standard deviations, from which camera and prior disagree; of two unknowns
+        with one prior, one in 23 cameras lies 2.5 out.
     settled_share : float
         Share determined by the data from which a conflict with the prior no longer matters.
     """
@@ -57,7 +58,7 @@ class Thresholds:
     plane_angle_deg: float = 5.0
     board_extent: float = 0.15
     sigma_px: float = 4.0
-    conflict: float = 3.0
+    conflict: float = 2.5
     settled_share: float = 0.99
 
     def __post_init__(self) -> None:

@@ -50,8 +50,8 @@ CASES: list[tuple[Adjustment, Geometry, Array]] = [
     ),
     (
         Adjustment(VIEWS, FREE, PRIORS, departures=Departures.of(VIEWS.points, VIEWS.pixels, SIZE)),
-        state(np.append([THETA, THETA + 0.01], [[2e-3, -5e-3, 0.02], [0, 0, 0]], axis=1)),
-        np.full(11, 1e-6),
+        state(np.append([THETA, THETA + 0.01], [[2e-3, -5e-3, 0.02, 3e-3], [0, 0, 0, 0]], axis=1)),
+        np.full(12, 1e-6),
     ),
     (
         Adjustment(VIEWS, PixelModel(tangential=True), none),

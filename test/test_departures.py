@@ -12,7 +12,7 @@ from fewcal.departures import Departures, lens_remainder, lifts
 Array = NDArray[np.float64]
 
 NONE = Normal(0.0, 1e-9)
-FLAT = Priors(board_bend=NONE, lens_remainder=NONE)
+FLAT = Priors(board_bend=NONE, lens_remainder=NONE, print_stretch=NONE)
 POSES = [pose(40, 20), pose(25, 110), pose(35, 240, span=0.7)]
 
 
@@ -54,6 +54,7 @@ def test_a_view_has_the_departures_of_its_points() -> None:
     found = Departures.of(points, pixels, SIZE)
     np.testing.assert_array_equal(found.lift, lifts(points))
     np.testing.assert_array_equal(found.shift, lens_remainder(pixels, SIZE))
+    np.testing.assert_array_equal(found.stretch, [[points[0, 0] / 2, -points[0, 1] / 2]])
 
 
 @pytest.mark.parametrize("bend", [(4e-3, 0.0), (-2e-3, 3e-3)])
@@ -71,6 +72,27 @@ def test_a_bent_board_is_found_bent_and_no_longer_bends_the_camera(bend: tuple[f
 def test_a_flat_board_is_found_flat() -> None:
     found = fewcal.calibrate(noisy(bent_views((0.0, 0.0)), 0.1, 4), SIZE)
     assert np.abs(found.departures[:2]).max() < 5e-4
+
+
+@pytest.mark.parametrize("stretch", [-4e-3, 4e-3])
+def test_squares_that_are_longer_than_wide_are_told_from_the_camera(stretch: float) -> None:
+    true = BOARD.points * [np.exp(stretch / 2), np.exp(-stretch / 2), 1]
+    # A board that is never turned leaves open whether it is the camera that stretches.
+    poses = [pose(40, 20), pose(25, 110, 80), pose(35, 240, 130), pose(35, 190, 30)]
+    exact = [fewcal.View(BOARD.points, CAMERA.project(true, T)) for T in poses]
+    views = noisy(exact, 0.1, 5)
+    found, square = fewcal.calibrate(views, SIZE), fewcal.calibrate(views, SIZE, priors=FLAT)
+    assert found.departures[3] == pytest.approx(stretch, abs=1.5e-3)
+    errors = [abs(answer.camera.fx / CAMERA.fx - 1) for answer in (found, square)]
+    assert errors[0] < 0.5 * errors[1]
+    assert found.focal_std is not None
+    assert errors[0] < 2 * found.focal_std
+
+
+def test_computed_points_have_a_perfect_board_if_they_can() -> None:
+    np.testing.assert_allclose(fewcal.calibrate(bent_views((0.0, 0.0)), SIZE).departures, 0, atol=1e-9)
+    bent = fewcal.calibrate(bent_views((4e-3, 0.0)), SIZE)
+    np.testing.assert_allclose(bent.departures[:2], [4e-3, 0], atol=2e-4)
 
 
 @pytest.mark.parametrize("coefficient", [-0.03, 0.03])

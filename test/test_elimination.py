@@ -31,7 +31,9 @@ def test_poses_follow_a_camera_as_well_as_they_can(points: int) -> None:
         left = rows.r[v] + rows.by_camera[v] @ camera
         expected = np.linalg.lstsq(rows.by_pose[v], -left, rcond=None)[0]
         unit = 1 / np.linalg.norm(rows.by_pose[v], axis=0)
-        np.testing.assert_allclose(steps[v] / unit, expected / unit, atol=1e-8 * np.abs(expected / unit).max())
+        np.testing.assert_allclose(
+            steps[v] / unit, expected / unit, atol=1e-8 * np.abs(expected / unit).max()
+        )
         # What no pose takes up is left in the rows of the camera.
         remainder = np.sum((left + rows.by_pose[v] @ steps[v]) ** 2)
         assert np.sum((found.camera[v] @ np.append(camera, 1)) ** 2) == pytest.approx(remainder, abs=1e-9)

@@ -168,7 +168,7 @@ def test_an_estimate_leaves_more_open_than_its_curvature_says() -> None:
     found = estimate_map(views, SIZE, Priors())
     rows = found.adjustment.rows(found.geometry, found.sigma)
     result = posterior(rows, Priors().rows(SIZE).tails(found.geometry.theta[0]))
-    assert result.covariance.shape == (11, 11)
+    assert result.covariance.shape == (12, 12)
     laplace = gaussian_covariance(rows)
     ratio = np.sqrt(np.diagonal(result.covariance) / np.diagonal(laplace))
     assert ((ratio > 1) & (ratio < 6)).all()

@@ -97,8 +97,8 @@ def test_one_kind_of_lenses_is_a_t() -> None:
     assert rows.distance(theta)[4] == pytest.approx(0, abs=1e-7)
     theta[4] += 0.3
     density = multivariate_t(kind.terms, kind.covariance, df=kind.nu)
-    expected = math.sqrt(2 * (density.logpdf(kind.terms) - density.logpdf(theta[4:6])))
-    assert rows.distance(theta)[4] == pytest.approx(expected)
+    expected = 2 * (density.logpdf(kind.terms) - density.logpdf(theta[4:6]))
+    assert rows.squares(theta[None])[0] == pytest.approx(expected + rows.distance(theta)[0] ** 2)
 
 
 # --- all priors --------------------------------------------------------------------------------------------
@@ -107,12 +107,12 @@ def test_one_kind_of_lenses_is_a_t() -> None:
 def random_cameras(spread: float, size: int = 8) -> Array:
     """(20, size) unknowns, drawn so many scales about the middle of the priors."""
     rng = np.random.default_rng(2)
-    scale = np.array([0.4, 0.0022, 0.0134, 0.0154, 0.06, 0.04, 0.0011, 0.0011, 5e-4, 5e-4, 0.008])
-    middle = np.array([math.log(1280 * 0.85), 0, 0, 0, -0.05, 0.01, 0, 0, 0, 0, 0])
-    return (middle + spread * scale * rng.uniform(-1, 1, (20, 11)))[:, :size]
+    scale = np.array([0.4, 0.0022, 0.0134, 0.0154, 0.06, 0.04, 0.0011, 0.0011, 5e-4, 5e-4, 0.008, 7e-4])
+    middle = np.array([math.log(1280 * 0.85), 0, 0, 0, -0.05, 0.01, 0, 0, 0, 0, 0, 0])
+    return (middle + spread * scale * rng.uniform(-1, 1, (20, 12)))[:, :size]
 
 
-@pytest.mark.parametrize("size", [8, 11])
+@pytest.mark.parametrize("size", [8, 12])
 @pytest.mark.parametrize("spread", [0.1, 1.0, 30.0])
 def test_the_quadratic_model_has_value_and_slope_of_the_density(spread: float, size: int) -> None:
     rows, theta = Priors().rows(SIZE), random_cameras(spread, size)
@@ -125,10 +125,10 @@ def test_the_quadratic_model_has_value_and_slope_of_the_density(spread: float, s
 
 
 def test_the_rows_have_the_slope_of_the_density() -> None:
-    rows, theta = Priors().rows(SIZE), random_cameras(2.0, 11)
+    rows, theta = Priors().rows(SIZE), random_cameras(2.0, 12)
     r, J = rows(theta)
     np.testing.assert_allclose(
-        (r[:, None] @ J)[:, 0], rows.quadratic(theta)[:, 11, :11], rtol=1e-9, atol=1e-9
+        (r[:, None] @ J)[:, 0], rows.quadratic(theta)[:, 12, :12], rtol=1e-9, atol=1e-9
     )
 
 
@@ -152,7 +152,7 @@ def test_each_distance_speaks_of_what_it_is_named_after(column: int) -> None:
     names = ["focal length", "aspect ratio", "principal point x", "principal point y"]
     names += ["radial distortion"] * 2 + ["tangential distortion"] * 2
     both = {"principal point x", "principal point y"}
-    theta = np.array([math.log(1000), 0.001, 0.01, -0.02, -0.1, 0.02, 0.0005, -0.0003])
+    theta = np.array([math.log(1000), 0.001, 0.01, -0.02, -0.18, 0.04, 0.0005, -0.0003])
     moved = theta.copy()
     moved[column] += 0.01
     rows = Priors().rows(SIZE)
@@ -165,19 +165,43 @@ def test_each_distance_speaks_of_what_it_is_named_after(column: int) -> None:
 
 
 def test_tails_are_the_rows_of_each_prior() -> None:
-    theta = np.array([6.8, 0.004, 0.03, -0.02, -0.3, 0.2, 0.004, -0.001, 7e-4, -2e-4, 0.01])
+    theta = np.array([6.8, 0.004, 0.03, -0.02, -0.3, 0.2, 0.004, -0.001, 7e-4, -2e-4, 0.01, 3e-4])
     rows = Priors().rows(SIZE)
     tails = rows.tails(theta)
-    np.testing.assert_allclose(tails.nu, [1.5, 3, np.inf, 1.15, 1.7, 0.9, 2, 2, 1])
-    np.testing.assert_array_equal(tails.group, [0, 0, 2, 3, 4, 4, 1, 1, 5, 5, 6, 7, 8])
+    np.testing.assert_allclose(tails.nu, [1.5, 3, np.inf, 1.15, 1.7, 0.9, 2, 2, 1, 2])
+    np.testing.assert_array_equal(tails.group, [0, 0, 2, 3, 4, 4, 1, 1, 5, 5, 6, 7, 8, 9])
     alone = rows.tails(theta[:8])
     np.testing.assert_array_equal(alone.z, tails.z[:10])
     np.testing.assert_array_equal(alone.nu, tails.nu[:6])
     assert_derivative(tails.by_unknowns, differences(lambda x: rows.tails(x).z, theta, 1e-6), 1e-6)
     together = np.bincount(tails.group, tails.z**2)[2:]
     nu = np.where(np.isinf(tails.nu), 1e12, tails.nu)[2:]
-    expected = np.sqrt((nu + [1, 1, 2, 2, 1, 1, 1]) * np.log1p(together / nu))
-    np.testing.assert_allclose(rows.distance(theta)[[0, 1, 2, 6, 8, 9, 10]], expected, rtol=1e-3)
+    expected = np.sqrt(nu * np.log1p(together / nu))
+    np.testing.assert_allclose(rows.distance(theta)[[0, 1, 2, 6, 8, 9, 10, 11]], expected, rtol=1e-3)
+
+
+@pytest.mark.parametrize("nu", [0.9, 1.7, 5.0])
+def test_as_many_cameras_lie_farther_out_as_with_a_normal_prior(nu: float) -> None:
+    rng = np.random.default_rng(4)
+    drawn = rng.normal(size=(2000, 2)) * np.sqrt(nu / rng.chisquare(nu, (2000, 1)))
+    rows = Priors(principal_point_x=StudentT(nu, 1.0), principal_point_y=StudentT(nu, 1.0)).rows(SIZE)
+    theta = np.zeros(8)
+    distance = np.array([rows.distance(np.concatenate([theta[:2], at, theta[4:]]))[2] for at in drawn])
+    for bound in (1.0, 2.0, 2.5):
+        assert (distance > bound).mean() == pytest.approx(math.exp(-(bound**2) / 2), abs=0.03)
+
+
+def test_the_radial_terms_lie_as_far_out_as_from_the_nearest_kind_of_lenses() -> None:
+    rows = Priors().rows(SIZE)
+    theta = np.array([math.log(1088), 0, 0, 0, 0.012, -0.0161, 0, 0])
+    assert rows.distance(theta)[4] == pytest.approx(0, abs=1e-7)
+    theta[4:6] = -0.294 * CORNER**1.5, 0.078 * CORNER**2
+    np.testing.assert_allclose(rows.distance(theta)[4:6], 0, atol=1e-7)
+    nu, covariance = LENSES[1].nu, np.array(LENSES[1].covariance)
+    step = np.array([0.02, 0.0])
+    theta[4:6] += step
+    expected = math.sqrt(nu * math.log1p(step @ np.linalg.inv(covariance) @ step / nu))
+    np.testing.assert_allclose(rows.distance(theta)[4:6], expected)
 
 
 @pytest.mark.parametrize("columns", [(2, 3), (6, 7)])
@@ -196,8 +220,9 @@ def test_two_unknowns_of_one_t_prior_have_its_density(columns: tuple[int, int]) 
 def test_a_centre_known_in_x_says_nothing_of_y() -> None:
     rows = Priors(principal_point_x=Normal(0.0, 0.001)).rows(SIZE)
     theta = np.array([math.log(1088), 0, 0.0, 0.02, 0, 0, 0, 0])
-    moved = theta + [0, 0, 0.002, 0, 0, 0, 0, 0]
-    np.testing.assert_allclose(rows.distance(moved) - rows.distance(theta), [0, 0, 2, 0, 0, 0, 0, 0], atol=1e-9)
+    moved = theta + 0.002 * (np.arange(8) == 2)
+    expected = 2.0 * (np.arange(8) == 2)
+    np.testing.assert_allclose(rows.distance(moved) - rows.distance(theta), expected, atol=1e-9)
 
 
 def test_the_normal_prior_is_as_wide_as_the_kinds_of_lenses_together() -> None:

@@ -88,7 +88,7 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
         "about another axis.",
     ),
     "conflict": (
-        {"conflicts": {"aspect ratio": 4.44, "focal length": 2.9}},
+        {"conflicts": {"aspect ratio": 4.44, "focal length": 2.4}},
         "The aspect ratio contradicts what was known beforehand by 4.4 standard deviations; check that the "
         "board is flat, its squares square and the image not cropped, add views, or state other priors.",
     ),

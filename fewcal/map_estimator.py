@@ -62,10 +62,9 @@ TRUST_LEVELS = np.linspace(0, 1, 6)
 WORTHWHILE = 0.3
 """Gain in the objective, foreseen, for which the other explanation is followed."""
 
-MOVES = 10
-"""Gauss-Newton steps tried on the way from the minimum to the middle of the posterior."""
 SETTLED = 1e-2
-"""Length of the last of them, standard deviations; what is left is of the order of its square."""
+"""Length of the last Gauss-Newton step to the middle of the posterior, standard deviations; what is left is of
+the order of its square."""
 
 RUNNERS = 2
 """Focal lengths that race for each arrangement of the boards."""
@@ -106,7 +105,8 @@ def estimate_map(
         # board and lens can be perfect they are. Perhaps the camera is the paper's, whose distortion acts on
         # pixels.
         exact = replace(priors, board_bend=NONE, lens_remainder=NONE, print_stretch=NONE)
-        perfect = [_estimate(views, ScaleFree(image_size, in_pixels), exact) for in_pixels in (False, True)]
+        models = [ScaleFree(image_size, in_pixels) for in_pixels in (False, True)]
+        perfect = [_estimate(views, model, exact, found.estimate.geometry) for model in models]
         best = min(perfect, key=lambda each: each.objective)
         if best.lowest_scatter < COMPUTED_PX:
             return best.estimate
@@ -122,15 +122,17 @@ class _Found(NamedTuple):
     lowest_scatter: float
 
 
-def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
-    """Find the best minimum for one camera model."""
+def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometry | None = None) -> _Found:
+    """Find the best minimum for one camera model, or the one that a start leads to."""
     noise = Noise.of(views, priors)
     problem = Adjustment(views, model, priors.rows(model.image_size), noise)
-    found = _contenders(problem.believing(noise.known()), _starts(views, model, priors))
+    state = start
+    if state is None:
+        state = _contenders(problem.believing(noise.known()), _starts(views, model, priors)).state
+        state = state._replace(theta=np.pad(state.theta, ((0, 0), (0, COUNT))))
     # The departures of board and lens are too small to matter before.
     problem = replace(problem, departures=Departures.of(views.points, views.pixels, model.image_size))
-    state = found.state._replace(theta=np.pad(found.state.theta, ((0, 0), (0, COUNT))))
-    several = problem.believing(noise.repeat(len(found.objective)))
+    several = problem.believing(noise.repeat(len(state.theta)))
     found = minimise(several, state, _FINE, race=True).best()
     scatter, objective = _ahead(problem, noise, found)
     if objective < found.objective[0] - WORTHWHILE:
@@ -147,13 +149,15 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors) -> _Found:
 def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Geometry, float]:
     """Go from a minimum to the middle of the posterior and to the noise there, and let the boards follow.
 
-    By Gauss-Newton steps. Where they do not end, the model being far from linear, the minimum stays.
+    By Gauss-Newton steps, as long as they grow shorter. Where they do not, the model being far from linear or
+    rounding the only noise, the minimum stays.
     """
     priors, noise = problem.constraint, problem.noise
     assert isinstance(priors, PriorRows)
     assert noise is not None
     state, sigma, squares = found.state, float(np.sqrt(found.variance[0])), None
-    for _ in range(MOVES):
+    length = math.inf
+    while length > SETTLED:
         eliminated = eliminate(problem.rows(state, sigma))
         reduced = eliminated.camera.reshape(-1, state.theta.shape[1] + 1)
         centre = middle(
@@ -163,13 +167,11 @@ def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Geometry, f
             squares,
             partial(_variance, noise, sigma**2),
         )
-        if centre is None:
-            break
+        if centre is None or not centre.length < length:
+            return found.state, float(np.sqrt(found.variance[0]))
         state = problem.retract(state, centre.step[None], eliminated.pose_steps(centre.step)[None])
-        sigma, squares = sigma * math.sqrt(centre.variance), centre.squares
-        if centre.length < SETTLED:
-            return state, sigma
-    return found.state, float(np.sqrt(found.variance[0]))
+        sigma, squares, length = sigma * math.sqrt(centre.variance), centre.squares, centre.length
+    return state, sigma
 
 
 def _variance(noise: Noise, unit: float, squares: float) -> float:

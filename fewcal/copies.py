@@ -19,6 +19,11 @@ SAME_PLACE = 0.002
 its part of 1 - exp(-1/2) = 0.4: a board that nobody has moved stays within, one tilted anew does not."""
 
 
+SHARED = 0.05
+"""Share of the variance of a view's errors that every other view has in common with it: how the board was printed
+and what the lens does beyond the model. So views never count for more than 20 together."""
+
+
 def copies(views: Sequence[View], image_size: tuple[int, int]) -> NDArray[np.float64]:
     """How many views show the board where each does, itself among them, those nearby counting in part.
 
@@ -60,5 +65,6 @@ def _of_one_board(views: Sequence[View]) -> list[NDArray[np.intp]]:
 
 
 def share_weight(stack: ViewStack, count: NDArray[np.float64]) -> ViewStack:
-    """Divide the weight of one view among its copies, of which there are `count` (V,)."""
-    return stack._replace(weights=stack.weights / np.sqrt(count)[:, None])
+    """Divide the weight of one view among its copies, of which there are `count` (V,), and share what all have."""
+    repeated = count * (1 + SHARED * ((1 / count).sum() - 1))
+    return stack._replace(weights=stack.weights / np.sqrt(repeated)[:, None])

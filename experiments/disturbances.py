@@ -63,7 +63,8 @@ def sheared(scene: Scene, rng: Generator, share: float) -> Array:
 def seventh(scene: Scene, rng: Generator, share: float) -> Array:
     """A radial term of r^7, in half diagonals at the corner of the image."""
     pixels = scene.pixels(scene.board.points)
-    shift = lens_remainder(pixels.swapaxes(1, 2), scene.size).swapaxes(1, 2)
+    centre = scene.camera.intrinsics[2:]
+    shift = lens_remainder(pixels.swapaxes(1, 2), scene.size, centre).swapaxes(1, 2)
     return np.asarray(pixels + share * rng.choice([-1, 1]) * shift)
 
 

@@ -188,7 +188,8 @@ def assumed(scene: Scene, rng: np.random.Generator, far_out: float | None = None
     points[:, 0] *= np.exp(np.clip(_draw(priors.print_stretch, rng), -LARGEST_STRETCH, LARGEST_STRETCH))
     exact = scene.pixels(points)
     remainder = np.clip(_draw(priors.lens_remainder, rng), -LARGEST * SEVENTH, LARGEST * SEVENTH)
-    exact += remainder * radial_remainder(exact.swapaxes(1, 2), scene.size).swapaxes(1, 2)
+    centre = scene.camera.intrinsics[2:]
+    exact += remainder * radial_remainder(exact.swapaxes(1, 2), scene.size, centre).swapaxes(1, 2)
     # The covariances of one corner with all others sum to 2 pi l^2 for errors alike over l squares.
     alike = smooth_field(scene.board, CORRELATION / np.sqrt(2 * np.pi))
     shared = scatter * alike @ rng.normal(size=exact.shape)

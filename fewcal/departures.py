@@ -9,7 +9,6 @@ the camera, with priors of what real boards and lenses do (`Priors.board_bend`, 
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +18,9 @@ Array = NDArray[np.float64]
 
 COUNT = 4
 """Unknowns after those of the camera: bend along x, bend along y, remainder of the lens, stretch."""
-_CELLS = 32
+_NODES, _weights = np.polynomial.legendre.leggauss(8)
+_AREA = np.outer(_weights, _weights).ravel()
+"""Gauss-Legendre over the image, exact for the products of two powers of r up to the seventh."""
 
 
 class Departures(NamedTuple):
@@ -37,9 +38,13 @@ class Departures(NamedTuple):
     stretch: Array
 
     @classmethod
-    def of(cls, points: Array, pixels: Array, image_size: tuple[int, int]) -> Departures:
-        """Departures of points (V, 2, N) of boards, metres, that are seen at pixels (V, 2, N)."""
-        return cls(lifts(points), lens_remainder(pixels, image_size), points * [[0.5], [-0.5]])
+    def of(cls, points: Array, pixels: Array, image_size: tuple[int, int], centre: Array) -> Departures:
+        """Departures of points (V, 2, N) of boards, metres, that are seen at pixels (V, 2, N).
+
+        Those of the lens are about a centre (2,), pixels, or the place in the image nearest to it.
+        """
+        centre = np.clip(centre, 0, np.array(image_size))
+        return cls(lifts(points), lens_remainder(pixels, image_size, centre), points * [[0.5], [-0.5]])
 
 
 def lifts(points: Array) -> Array:
@@ -49,26 +54,26 @@ def lifts(points: Array) -> Array:
     return lift
 
 
-def lens_remainder(pixels: Array, image_size: tuple[int, int]) -> Array:
+def lens_remainder(pixels: Array, image_size: tuple[int, int], centre: Array) -> Array:
     """Shift (V, 2, N) at pixels (V, 2, N) by the next radial term, less what f, k1 and k2 can take over.
 
-    In half diagonals about the centre of the image it is r^7 less its best fit by r, r^3 and r^5 over the
-    image, so that the camera beside it is the best one of the model. It is taken where the points are seen
-    instead of where the camera puts them, which changes it by a small share.
+    In half diagonals about a centre (2,), the principal point, it is r^7 less its best fit by r, r^3 and r^5
+    over the image, so that the camera beside it is the best one of the model. It is taken where the points
+    are seen instead of where the camera puts them, which changes it by a small share.
     """
     half = np.hypot(*image_size) / 2
-    at = (pixels - ((np.array(image_size) - 1) / 2)[:, None]) / half
+    at = (pixels - centre[:, None]) / half
     r2 = (at * at).sum(axis=-2, keepdims=True)
-    a, b, c = _taken_over(image_size)
+    a, b, c = _taken_over(image_size, centre)
     shift: Array = half * at * (((r2 - c) * r2 - b) * r2 - a)
     return shift
 
 
-@lru_cache(maxsize=64)
-def _taken_over(image_size: tuple[int, int]) -> tuple[float, ...]:
-    """Coefficients of r, r^3 and r^5 that fit r^7 best over the image."""
-    half = np.hypot(*image_size) / 2
-    middles = (np.arange(_CELLS) + 0.5) / _CELLS - 0.5
-    x, y = np.meshgrid(*(middles * length / half for length in image_size))
-    r = np.hypot(x, y).ravel()
-    return tuple(np.linalg.lstsq(r[:, None] ** [1, 3, 5], r**7, rcond=None)[0].tolist())
+def _taken_over(image_size: tuple[int, int], centre: Array) -> Array:
+    """Coefficients (3,) of r, r^3 and r^5 that fit r^7 best over the image."""
+    size = np.array(image_size)
+    x, y = (((_NODES * size[:, None] + size[:, None] - 1) / 2 - centre[:, None]) / (np.hypot(*size) / 2)) ** 2
+    r2 = (x[:, None] + y).ravel()
+    odd = r2 ** np.array([[0], [1], [2], [3]])  # r, r^3, r^5 and r^7, all over r
+    fitted, seventh = odd[:3] * (r2 * _AREA), odd[3]
+    return np.asarray(np.linalg.solve(fitted @ odd[:3].T, fitted @ seventh))

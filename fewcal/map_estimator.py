@@ -1,4 +1,4 @@
-"""The default estimator: maximum a posteriori, from many starts, with the corner noise estimated.
+"""The default estimator: the middle of the posterior near its highest point, with the corner noise estimated.
 
 How much a residual counts follows from all residuals together (:mod:`fewcal.noise`), so that noise and camera
 are found in one minimisation.
@@ -63,8 +63,8 @@ WORTHWHILE = 0.3
 """Gain in the objective, foreseen, for which the other explanation is followed."""
 
 SETTLED = 1e-2
-"""Length of the last Gauss-Newton step to the middle of the posterior, standard deviations; what is left is of
-the order of its square."""
+"""Length of the last Gauss-Newton step to the middle of the posterior, standard deviations; what is left is
+of the order of its square."""
 
 RUNNERS = 2
 """Focal lengths that race for each arrangement of the boards."""
@@ -83,7 +83,7 @@ very end, since noise and camera settle on each other in proportion: a short ste
 def estimate_map(
     views: ViewStack, image_size: tuple[int, int], priors: Priors, count: Array | None = None
 ) -> Estimate:
-    """Find the camera and poses of highest posterior probability.
+    """Find the camera and poses in the middle of the posterior.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometr
         state = _contenders(problem.believing(noise.known()), _starts(views, model, priors)).state
         state = state._replace(theta=np.pad(state.theta, ((0, 0), (0, COUNT))))
     # The departures of board and lens are too small to matter before.
-    problem = replace(problem, departures=Departures.of(views.points, views.pixels, model.image_size))
+    problem = _departing(problem, model.centre)
     several = problem.believing(noise.repeat(len(state.theta)))
     found = minimise(several, state, _FINE, race=True).best()
     scatter, objective = _ahead(problem, noise, found)
@@ -141,24 +141,41 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometr
         other = minimise(problem, trusting.state, _FINE)
         if other.objective[0] < found.objective[0]:
             found = other
-    state, sigma = _settled(problem, found)
-    estimate = Estimate(problem, state, sigma, Stop(int(found.stop[0])))
+    settled, state, sigma = _settled(problem, found)
+    estimate = Estimate(settled, state, sigma, Stop(int(found.stop[0])))
     return _Found(estimate, float(found.objective[0]), scatter)
 
 
-def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Geometry, float]:
+def _departing(problem: Adjustment, centre: Array) -> Adjustment:
+    """Let board and lens depart from the model, the lens about some centre (2,) in pixels."""
+    views, model = problem.views, problem.model
+    assert isinstance(model, ScaleFree)
+    return replace(problem, departures=Departures.of(views.points, views.pixels, model.image_size, centre))
+
+
+def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Adjustment, Geometry, float]:
     """Go from a minimum to the middle of the posterior and to the noise there, and let the boards follow.
 
     By Gauss-Newton steps, as long as they grow shorter. Where they do not, the model being far from linear or
-    rounding the only noise, the minimum stays.
+    rounding the only noise, the minimum stays. The departures of the lens are from here on about its
+    principal point, which moves by too little to matter within a step.
+
+    Returns
+    -------
+    problem : Adjustment
+        With the departures of the answer.
+    state : Geometry
+    sigma : float
     """
-    priors, noise = problem.constraint, problem.noise
+    priors, noise, model = problem.constraint, problem.noise, problem.model
     assert isinstance(priors, PriorRows)
+    assert isinstance(model, ScaleFree)
     assert noise is not None
     state, sigma, squares = found.state, float(np.sqrt(found.variance[0])), None
-    length = math.inf
+    moved, length = problem, math.inf
     while length > SETTLED:
-        eliminated = eliminate(problem.rows(state, sigma))
+        moved = _departing(moved, model.natural(state.theta[0])[2:4])
+        eliminated = eliminate(moved.rows(state, sigma))
         reduced = eliminated.camera.reshape(-1, state.theta.shape[1] + 1)
         centre = middle(
             reduced[:, :-1],
@@ -168,10 +185,10 @@ def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Geometry, f
             partial(_variance, noise, sigma**2),
         )
         if centre is None or not centre.length < length:
-            return found.state, float(np.sqrt(found.variance[0]))
-        state = problem.retract(state, centre.step[None], eliminated.pose_steps(centre.step)[None])
+            return problem, found.state, float(np.sqrt(found.variance[0]))
+        state = moved.retract(state, centre.step[None], eliminated.pose_steps(centre.step)[None])
         sigma, squares, length = sigma * math.sqrt(centre.variance), centre.squares, centre.length
-    return state, sigma
+    return moved, state, sigma
 
 
 def _variance(noise: Noise, unit: float, squares: float) -> float:

@@ -18,6 +18,7 @@ from .adjustment import Adjustment, Geometry
 from .calibration import Calibration
 from .camera import project_jacobians
 from .constraints import Priors
+from .copies import repetition
 from .departures import Departures
 from .parametrisation import ScaleFree
 from .posterior import posterior
@@ -40,8 +41,7 @@ class Information:
     Attributes
     ----------
     views : (V, S, S)
-        Information matrices of camera and bend of the board, poses eliminated, each as if no other view
-        showed the board in the same place.
+        Information matrices of camera and departures, poses eliminated, each as if there were no other view.
     prior : (S, S)
         Of the widths of the heavy-tailed priors that all the views together suggest.
     spread : (S, S)
@@ -63,7 +63,7 @@ class Information:
         -------
         (M,) pixels
         """
-        total = self.prior + self.views[subsets].sum(axis=1)
+        total = self.prior + self.views[subsets].sum(axis=1) / repetition(subsets.shape[1])
         scale = 1 / np.sqrt(np.diagonal(total, axis1=-2, axis2=-1))
         inverse = np.linalg.inv(total * scale[:, :, None] * scale[:, None, :])
         covariance = inverse * scale[:, :, None] * scale[:, None, :]
@@ -88,7 +88,7 @@ def information(calibration: Calibration, priors: Priors = Priors()) -> Informat
     rotation = poses[:, :3, :3]
     position = (rotation @ stack.centroid[..., None])[..., 0] + poses[:, :3, 3]
     known = priors.rows(calibration.image_size)
-    departures = Departures.of(stack.points, stack.pixels, model.image_size)
+    departures = Departures.of(stack.points, stack.pixels, model.image_size, camera.intrinsics[2:])
     problem = Adjustment(stack, model, known, departures=departures)
     unknowns = np.append(theta, calibration.departures)
     geometry = Geometry(unknowns[None], (rotation @ stack.plane)[None], position[None])

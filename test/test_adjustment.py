@@ -49,7 +49,9 @@ CASES: list[tuple[Adjustment, Geometry, Array]] = [
         np.full(8, 1e-6),
     ),
     (
-        Adjustment(VIEWS, FREE, PRIORS, departures=Departures.of(VIEWS.points, VIEWS.pixels, SIZE)),
+        Adjustment(
+            VIEWS, FREE, PRIORS, departures=Departures.of(VIEWS.points, VIEWS.pixels, SIZE, FREE.centre)
+        ),
         state(np.append([THETA, THETA + 0.01], [[2e-3, -5e-3, 0.02, 3e-3], [0, 0, 0, 0]], axis=1)),
         np.full(12, 1e-6),
     ),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scenes import SIZE, views_at
 
 import fewcal
-from fewcal.copies import SAME_PLACE, copies, share_weight
+from fewcal.copies import SAME_PLACE, SHARED, copies, repetition, share_weight
 from fewcal.views import View, stack_views
 from fewcal.virtual_camera import PAPER_CAMERA, paper_trial
 
@@ -26,9 +26,19 @@ def noisy(sigma: float | None = None) -> list[View]:
 
 
 def total(views: list[View]) -> NDArray[np.float64]:
-    """Weight of each view, 1 for one by itself."""
-    weights = share_weight(stack_views(views), copies(views, SIZE)).weights
-    return np.asarray((weights**2).mean(axis=1))
+    """Weight of each view, 1 for one by itself, but for what all views have in common."""
+    count = copies(views, SIZE)
+    weights = share_weight(stack_views(views), count).weights
+    return np.asarray((weights**2).mean(axis=1)) * repetition((1 / count).sum())
+
+
+def test_many_views_count_for_so_many_at_most() -> None:
+    stack = stack_views(noisy())
+    for views in (1, 2, 30, 1000):
+        many = stack._replace(weights=np.ones((views, 54)))
+        weight = (share_weight(many, np.ones(views)).weights ** 2).sum() / 54
+        assert weight == pytest.approx(views / (1 + SHARED * (views - 1)))
+        assert weight < 1 / SHARED
 
 
 @given(st.lists(st.integers(0, 2), min_size=1, max_size=8), st.sampled_from([None, 0.1]))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenes import SIZE, noisy, pose, view, views_at
 
 from fewcal.calibration import Calibration, calibrate
+from fewcal.copies import repetition
 from fewcal.parametrisation import ScaleFree
 from fewcal.posterior import projection_std
 from fewcal.selection import EXHAUSTIVE, Information, best_subset, information, thin
@@ -36,7 +37,8 @@ def random_information(seed: int, views: int) -> Information:
 
 
 def error(known: Information, subset: tuple[int, ...]) -> float:
-    covariance = np.linalg.inv(known.prior + sum(known.views[i] for i in subset))
+    views = sum(known.views[i] for i in subset) / repetition(len(subset))
+    covariance = np.linalg.inv(known.prior + views)
     return float(np.sqrt(np.trace(known.spread @ covariance)))
 
 
@@ -48,7 +50,7 @@ def test_projection_std_of_all_views_is_that_of_the_calibration() -> None:
     found = calibrated(TILTS[3:])
     known = information(found)
     everything = known.projection_std(np.arange(3)[None])[0]
-    total = known.prior + known.views.sum(axis=0)
+    total = known.prior + known.views.sum(axis=0) / repetition(3)
     scale = 1 / np.sqrt(np.diagonal(total))
     covariance = np.linalg.inv(total * scale[:, None] * scale) * scale[:, None] * scale
     # The first unknown is the logarithm of the focal length; the tails of the priors are averaged over here.

@@ -6,7 +6,7 @@ ratio are spread several times as wide. Corner errors come from one of :data:`ER
 assumed
     What the estimator believes (doc/estimator.md): a bent and stretched board, a lens with a remainder,
     errors of scatter s that four corners share, and on top of them errors of min(0.3 px, 3 s) of which only
-    the part that camera and poses absorb is kept.
+    the part that camera and poses absorb is kept; all views have a part of both in common.
 iid
     Independent errors of 0.03 to 0.3 px.
 real
@@ -32,6 +32,7 @@ import fewcal
 from fewcal.adjustment import rotation_from_vector
 from fewcal.boards import Chessboard
 from fewcal.constraints import Distribution, Priors, StudentT
+from fewcal.copies import SHARED
 from fewcal.departures import lens_remainder as radial_remainder
 from fewcal.distortion import fold_radius
 from fewcal.noise import ABSORBED, CORRELATION, MODEL_ERROR_PX
@@ -192,9 +193,15 @@ def assumed(scene: Scene, rng: np.random.Generator, far_out: float | None = None
     exact += remainder * radial_remainder(exact.swapaxes(1, 2), scene.size, centre).swapaxes(1, 2)
     # The covariances of one corner with all others sum to 2 pi l^2 for errors alike over l squares.
     alike = smooth_field(scene.board, CORRELATION / np.sqrt(2 * np.pi))
-    shared = scatter * alike @ rng.normal(size=exact.shape)
-    loose = rng.normal(0, min(MODEL_ERROR_PX, ABSORBED * scatter), exact.shape)
-    return _views(scene, exact + shared + absorbed_part(scene, loose))
+    together = scatter * alike @ _repeated(exact.shape, rng)
+    loose = min(MODEL_ERROR_PX, ABSORBED * scatter) * _repeated(exact.shape, rng)
+    return _views(scene, exact + together + absorbed_part(scene, loose))
+
+
+def _repeated(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """Errors (V, N, 2) of unit variance, of which all views have a share in common."""
+    own, common = rng.normal(size=shape), rng.normal(size=(1, *shape[1:]))
+    return np.sqrt(1 - SHARED) * own + np.sqrt(SHARED) * common
 
 
 def iid(scene: Scene, rng: np.random.Generator) -> list[fewcal.View]:

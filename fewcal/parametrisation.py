@@ -96,7 +96,7 @@ class ScaleFree(NamedTuple):
     def natural_spread(self, theta: Array, covariance: Array) -> Array:
         """Second moment (8, 8) of :meth:`natural` about what it is at `theta` (8,), for a covariance (8, 8).
 
-        By the values at three standard deviations over the root of three to either side (Gauss-Hermite).
+        By the values at the root of three standard deviations to either side (Gauss-Hermite).
         A focal length that is known to 40 % may well be twice as long but not negative, which the derivative
         alone would not tell.
         """

@@ -215,7 +215,7 @@ def focal_bounds(camera: VirtualCamera, trial: Trial) -> Array:
 
     def bound(constraint: Callable[[Array], tuple[Array, Array]]) -> float:
         rows = Adjustment(stack, model, constraint).rows(at, ROUNDING_PX)
-        return math.sqrt(gaussian_covariance(rows)[0, 0])
+        return math.sqrt(gaussian_covariance(rows, constraint(at.theta)[1][0])[0, 0])
 
     vague = Priors(log_focal_over_width=Normal(0.0, VAGUE))
     known = [priors.rows(camera.image_size) for priors in (vague, Priors())]

@@ -76,16 +76,16 @@ def run_scipy(views: list[fewcal.View]) -> Callable[[], object]:
     at = Geometry(model.theta(natural)[None], (rotation @ stack.plane)[None], position[None])
     count = len(views)
     # The priors as normal ones, linear about the answer.
-    known = problem.rows(at, answer.sigma_px)
+    prior, prior_by_camera = (part[0] for part in problem.constraint(at.theta))
 
     def rows(x: Array) -> tuple[Array, Array]:
         found = problem.rows(problem.retract(at, x[None, :8], x[8:].reshape(1, count, 6)), answer.sigma_px)
-        J = np.zeros((found.r.size + len(known.prior), len(x)))
+        J = np.zeros((found.r.size + len(prior), len(x)))
         for v, (by_camera, by_pose) in enumerate(zip(found.by_camera, found.by_pose, strict=True)):
             part = slice(v * len(by_camera), (v + 1) * len(by_camera))
             J[part, :8], J[part, 8 + 6 * v : 14 + 6 * v] = by_camera, by_pose
-        J[found.r.size :, :8] = known.prior_by_camera
-        return np.concatenate([found.r.ravel(), known.prior + known.prior_by_camera @ x[:8]]), J
+        J[found.r.size :, :8] = prior_by_camera
+        return np.concatenate([found.r.ravel(), prior + prior_by_camera @ x[:8]]), J
 
     start = np.zeros(8 + 6 * count)
     start[0] = 0.02

@@ -44,22 +44,18 @@ class Geometry(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Residual rows and their Jacobians, in units of one standard deviation.
+    """Rows of the reprojection and their Jacobians, in units of one standard deviation.
 
     Attributes
     ----------
-    r : (V, 2 N) reprojection
+    r : (V, 2 N)
     by_camera : (V, 2 N, S), along the steps that :meth:`Adjustment.retract` takes
     by_pose : (V, 2 N, 6), turn and shift
-    prior : (K,)
-    prior_by_camera : (K, S)
     """
 
     r: Array
     by_camera: Array
     by_pose: Array
-    prior: Array
-    prior_by_camera: Array
 
 
 @dataclass(frozen=True)
@@ -149,8 +145,7 @@ class Adjustment:
         """Rows of a batch of one, with the standard deviation of an image point of weight 1 in pixels."""
         columns = self.jacobian(state)[0] / sigma
         columns = np.swapaxes(columns.reshape(*columns.shape[:2], -1), -1, -2)
-        r, J = self.constraint(state.theta)
-        return Rows(columns[..., -1], columns[..., POSE:-1], columns[..., :POSE], r[0], J[0])
+        return Rows(columns[..., -1], columns[..., POSE:-1], columns[..., :POSE])
 
     def retract(self, state: Geometry, shared: Array, local: Array) -> Geometry:
         """Step away from a state: camera unknowns, then a turn and a shift of each board.

@@ -237,7 +237,8 @@ def _pixel_solution(
     sigma = float(np.sqrt(Noise.of(found.adjustment.views, priors).variance(squares)[0]))
     covariance: Array | None = None
     if model.tangential:
-        of_theta = gaussian_covariance(rows) * (sigma / found.sigma) ** 2
+        constraint = found.adjustment.constraint(found.geometry.theta)[1][0]
+        of_theta = gaussian_covariance(rows, constraint) * (sigma / found.sigma) ** 2
         covariance = _propagated(of_theta, plumb_bob_jacobian(theta))
     camera = nearest_plumb_bob(theta[:5], coefficients, size)
     return _Solution(camera, coefficients, float(theta[4]), sigma, np.zeros(COUNT), covariance, None, {})

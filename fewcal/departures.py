@@ -41,10 +41,13 @@ class Departures(NamedTuple):
     def of(cls, points: Array, pixels: Array, image_size: tuple[int, int], centre: Array) -> Departures:
         """Departures of points (V, 2, N) of boards, metres, that are seen at pixels (V, 2, N).
 
-        Those of the lens are about a centre (2,), pixels, or the place in the image nearest to it.
+        Those of the lens are about a centre (2,), pixels.
         """
-        centre = np.clip(centre, 0, np.array(image_size))
         return cls(lifts(points), lens_remainder(pixels, image_size, centre), points * [[0.5], [-0.5]])
+
+    def about(self, centre: Array, pixels: Array, image_size: tuple[int, int]) -> Departures:
+        """The same with another centre of the lens."""
+        return self._replace(shift=lens_remainder(pixels, image_size, centre))
 
 
 def lifts(points: Array) -> Array:
@@ -57,10 +60,12 @@ def lifts(points: Array) -> Array:
 def lens_remainder(pixels: Array, image_size: tuple[int, int], centre: Array) -> Array:
     """Shift (V, 2, N) at pixels (V, 2, N) by the next radial term, less what f, k1 and k2 can take over.
 
-    In half diagonals about a centre (2,), the principal point, it is r^7 less its best fit by r, r^3 and r^5
-    over the image, so that the camera beside it is the best one of the model. It is taken where the points
-    are seen instead of where the camera puts them, which changes it by a small share.
+    In half diagonals about a centre (2,), the principal point or the place in the image nearest to it, it is
+    r^7 less its best fit by r, r^3 and r^5 over the image, so that the camera beside it is the best one of
+    the model. It is taken where the points are seen instead of where the camera puts them, which changes it
+    by a small share.
     """
+    centre = np.clip(centre, 0, np.array(image_size))
     half = np.hypot(*image_size) / 2
     at = (pixels - centre[:, None]) / half
     r2 = (at * at).sum(axis=-2, keepdims=True)

@@ -131,7 +131,8 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometr
         state = _contenders(problem.believing(noise.known()), _starts(views, model, priors)).state
         state = state._replace(theta=np.pad(state.theta, ((0, 0), (0, COUNT))))
     # The departures of board and lens are too small to matter before.
-    problem = _departing(problem, model.centre)
+    departures = Departures.of(views.points, views.pixels, model.image_size, model.centre)
+    problem = replace(problem, departures=departures)
     several = problem.believing(noise.repeat(len(state.theta)))
     found = minimise(several, state, _FINE, race=True).best()
     scatter, objective = _ahead(problem, noise, found)
@@ -144,13 +145,6 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometr
     settled, state, sigma = _settled(problem, found)
     estimate = Estimate(settled, state, sigma, Stop(int(found.stop[0])))
     return _Found(estimate, float(found.objective[0]), scatter)
-
-
-def _departing(problem: Adjustment, centre: Array) -> Adjustment:
-    """Let board and lens depart from the model, the lens about some centre (2,) in pixels."""
-    views, model = problem.views, problem.model
-    assert isinstance(model, ScaleFree)
-    return replace(problem, departures=Departures.of(views.points, views.pixels, model.image_size, centre))
 
 
 def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Adjustment, Geometry, float]:
@@ -172,9 +166,12 @@ def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Adjustment,
     assert isinstance(model, ScaleFree)
     assert noise is not None
     state, sigma, squares = found.state, float(np.sqrt(found.variance[0])), None
+    assert problem.departures is not None
     moved, length = problem, math.inf
     while length > SETTLED:
-        moved = _departing(moved, model.natural(state.theta[0])[2:4])
+        about = model.natural(state.theta[0])[2:4]
+        departures = problem.departures.about(about, problem.views.pixels, model.image_size)
+        moved = replace(problem, departures=departures)
         eliminated = eliminate(moved.rows(state, sigma))
         reduced = eliminated.camera.reshape(-1, state.theta.shape[1] + 1)
         centre = middle(

@@ -28,8 +28,6 @@ MODEL_ERROR_PX = 0.3
 without it are too small by half on real boards (doc/estimator.md)."""
 ABSORBED = 3.0
 """Largest ratio of the absorbed model error to the scatter that it leaves; exact data have neither."""
-_NEWTON_STEPS = 5
-"""The slowest case, equal weight of prior and residuals, is exact to 1e-9 after four."""
 
 
 class Noise(NamedTuple):
@@ -75,21 +73,18 @@ class Noise(NamedTuple):
 
         It solves n (1 - q / s^2) + ln(s / s0) / tau^2 = 0, where n is the number of degrees of freedom over
         CORRELATION^2, q their mean square, s0 the median and tau the spread of the prior. With
-        z = 2 tau^2 n + 2 ln(s / s0) that is z e^z = 2 tau^2 n q / s0^2 e^(2 tau^2 n), Lambert's equation,
-        solved for ln z by Newton's iteration.
+        z = 2 tau^2 n + 2 ln(s / s0) that is z e^z = 2 tau^2 n q / s0^2 e^(2 tau^2 n), Lambert's equation, and
+        Wright's function gives z for the logarithm of the right side.
         """
         if not self.spread.any():
             return self.median + 0 * squares
+        # Not with the package: it would double the time that an import takes.
+        from scipy.special import wrightomega
+
         strength = 2 * self.spread**2 * self.freedom / CORRELATION**2
         with np.errstate(divide="ignore"):
             c = np.log(strength * squares / (np.maximum(self.freedom, 1) * self.median**2)) + strength
-        c = np.maximum(c, -700.0)
-        above = np.maximum(c, 1)
-        log_z = np.where(c > 1, np.log(above - np.log(above)), c)
-        for _ in range(_NEWTON_STEPS):
-            z = np.exp(log_z)
-            log_z = log_z - (z + log_z - c) / (z + 1)
-        scatter: Array = self.median * np.exp((np.exp(log_z) - strength) / 2)
+        scatter: Array = self.median * np.exp((wrightomega(np.maximum(c, -700.0)) - strength) / 2)
         return scatter
 
     def variance(self, squares: Array) -> Array:

@@ -58,7 +58,6 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
     Parameters
     ----------
     rows : Rows
-        Those of its priors are not looked at.
     tails : Tails
     """
     reduced = eliminate(rows).camera
@@ -78,10 +77,10 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
     )
 
 
-def gaussian_covariance(rows: Rows) -> Array:
-    """Covariance (S, S) of the camera from the rows of its linearisation, those of the priors among them."""
+def gaussian_covariance(rows: Rows, constraint: Array) -> Array:
+    """Covariance (S, S) of the camera from the rows of its linearisation and those (K, S) of a constraint."""
     J = eliminate(rows).camera[..., :-1]
-    return covariance_from_rows(np.concatenate([J.reshape(-1, J.shape[-1]), rows.prior_by_camera]))
+    return covariance_from_rows(np.concatenate([J.reshape(-1, J.shape[-1]), constraint]))
 
 
 def covariance_from_rows(rows: Array) -> Array:

@@ -93,8 +93,8 @@ def test_normal_equations_are_those_of_the_rows(problem: Adjustment, at: Geometr
         for v in range(2):
             columns = np.column_stack([rows.by_pose[v], rows.by_camera[v], rows.r[v]]) * 0.5
             np.testing.assert_allclose(found.groups[b, v], columns.T @ columns, rtol=1e-9, atol=1e-9)
-        columns = np.column_stack([rows.prior_by_camera, rows.prior])
-        gradient = (columns.T @ columns)[-1, :-1]
+        r, J = (part[b] for part in problem.constraint(at.theta))
+        gradient = r @ J
         np.testing.assert_allclose(
             found.shared[b, -1, :-1], gradient, rtol=1e-9, atol=1e-9 * abs(gradient).max(initial=0)
         )
@@ -119,7 +119,7 @@ def test_rows_are_in_units_of_their_noise() -> None:
     # The second start: camera and poses off by some pixels.
     off = Geometry(*(part[1:] for part in at))
     rows, wider = problem.rows(off, 1.0), problem.rows(off, 2.0)
-    for one, two in zip(rows[:3], wider[:3], strict=True):
+    for one, two in zip(rows, wider, strict=True):
         np.testing.assert_allclose(two, one / 2)
     np.testing.assert_allclose(residuals(problem, off)[0].reshape(2, -1), rows.r)
 

@@ -68,8 +68,8 @@ class Calibration:
         Standard deviation of a point that the error bars rest on, pixels.
     departures : (4,)
         Bend of the board along x and along y, remainder of the lens, and stretch of the print, as
-        :class:`Priors` counts them. The
-        camera is the best one beside them; `view_rms` and `rms` are of the camera alone. Zero but for map.
+        :class:`Priors` counts them. The camera is the best one beside them; `view_rms` and `rms` are of the
+        camera alone. Zero but for map.
     verdict : Verdict
     """
 

@@ -34,10 +34,13 @@ class Eliminated(NamedTuple):
         return self.triangle[:, self.poses :, self.poses :]
 
     def pose_steps(self, camera: Array) -> Array:
-        """Steps (V, P) of the poses that suit a step (S,) of the camera best."""
+        """Steps (V, P) of the poses that suit a step (S,) of the camera best; NaN where a pose is open."""
         of_pose = self.triangle[:, : self.poses]
         target = of_pose[:, :, self.poses :] @ np.append(camera, 1.0)
-        steps: Array = -np.linalg.solve(of_pose[:, :, : self.poses], target[..., None])[..., 0]
+        try:
+            steps: Array = -np.linalg.solve(of_pose[:, :, : self.poses], target[..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            return np.full_like(target, np.nan)
         return steps
 
 

@@ -9,6 +9,7 @@ the unknowns and one of precisions and kinds that comes nearest to it (variation
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from .scale_mixture import Tails, whitened
 Array = NDArray[np.float64]
 
 _STEPS = 200
+"""Updates at most; fifteen are usual."""
 _CONVERGED = 1e-4
 """Change of the middle at which it is found, standard deviations."""
 SLIGHT = 0.01
@@ -34,7 +36,7 @@ class Middle(NamedTuple):
     step : (S,) from the estimate to its mean
     covariance : (S, S)
     length : float
-        Of the step, in standard deviations.
+        Of the step, in standard deviations of the distribution.
     squares : (K,)
         Expected squares of the rows of the priors.
     variance : float
@@ -98,14 +100,15 @@ def middle(
         expected = (z + W @ e) ** 2 + ((W @ covariance) * W).sum(axis=1)
         v = variance(float(np.sum((left + of_data @ e) ** 2)))
         more = precisions(expected) - first / v
+        information = unit / v + (W.T * more) @ W
         try:
-            covariance = np.asarray(np.linalg.inv(unit / v + (W.T * more) @ W), dtype=np.float64)
+            covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         except np.linalg.LinAlgError:
             return None
         e = -covariance @ (W.T @ (more * z))
         if np.abs(e - before).max() < _CONVERGED:
             break
-    length = float(np.linalg.norm(e - y))
+    length = math.sqrt((e - y) @ information @ (e - y))
     return Middle(inverse @ (e - y), inverse @ covariance @ inverse.T, length, expected, v)
 
 

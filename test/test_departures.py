@@ -57,6 +57,9 @@ def test_a_view_has_the_departures_of_its_points() -> None:
     np.testing.assert_array_equal(found.lift, lifts(points))
     np.testing.assert_array_equal(found.shift, lens_remainder(pixels, SIZE, centre))
     np.testing.assert_array_equal(found.stretch, [[points[0, 0] / 2, -points[0, 1] / 2]])
+    moved, other = found.about(centre + 9, pixels, SIZE), Departures.of(points, pixels, SIZE, centre + 9)
+    np.testing.assert_array_equal(moved.shift, other.shift)
+    np.testing.assert_array_equal(moved.lift, other.lift)
 
 
 @pytest.mark.parametrize("bend", [(4e-3, 0.0), (-2e-3, 3e-3)])
@@ -100,17 +103,21 @@ def test_computed_points_have_a_perfect_board_if_they_can() -> None:
     np.testing.assert_allclose(bent.departures[:2], [4e-3, 0], atol=2e-4)
 
 
+OFF_CENTRE = fewcal.Camera(1100.0, 1103.0, 700.0, 440.0, [-0.12, 0.03, 0.0006, -0.0004, 0.0])
+
+
+@pytest.mark.parametrize("lens", [CAMERA, OFF_CENTRE], ids=["CAMERA", "OFF_CENTRE"])
 @pytest.mark.parametrize("coefficient", [-0.03, 0.03])
-def test_the_remainder_of_a_lens_is_told_from_its_distortion(coefficient: float) -> None:
-    flat = bent_views((0.0, 0.0))
+def test_the_remainder_of_a_lens_is_told_from_its_distortion(coefficient: float, lens: fewcal.Camera) -> None:
     shifted = []
-    for view in flat:
-        shift = coefficient * lens_remainder(view.image_points.T[None], SIZE, CAMERA.intrinsics[2:])[0].T
-        shifted.append(fewcal.View(view.object_points, view.image_points + shift))
+    for T in POSES:
+        pixels = lens.project(BOARD.points, T)
+        shift = coefficient * lens_remainder(pixels.T[None], SIZE, lens.intrinsics[2:])[0].T
+        shifted.append(fewcal.View(BOARD.points, pixels + shift))
     found = fewcal.calibrate(shifted, SIZE)
     wrong = fewcal.calibrate(shifted, SIZE, priors=FLAT)
     corner = np.array([[5.0, 5.0]])
-    ray = CAMERA.unproject(corner)
+    ray = lens.unproject(corner)
     error, without = (np.linalg.norm(answer.camera.project(ray) - corner) for answer in (found, wrong))
     assert found.departures[2] == pytest.approx(coefficient, rel=0.3)
     assert error < 0.5 * without

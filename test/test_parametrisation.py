@@ -68,6 +68,39 @@ def test_the_unknowns_do_not_depend_on_resolution() -> None:
     np.testing.assert_allclose(found[:, 1:], THETA[:, 1:], rtol=1e-9, atol=1e-14)
 
 
+def random_covariance(sd: Array) -> Array:
+    """Of correlated unknowns with these standard deviations."""
+    rows = np.random.default_rng(5).normal(size=(12, 8))
+    covariance = rows.T @ rows
+    scale = sd / np.sqrt(np.diagonal(covariance))
+    return covariance * scale * scale[:, None]
+
+
+def test_a_small_spread_is_that_of_the_derivative() -> None:
+    covariance = random_covariance(1e-5 * SPREAD)
+    J = FREE.natural_jacobian(THETA[0])
+    expected = J @ covariance @ J.T
+    scale = np.sqrt(np.diagonal(expected))
+    found = FREE.natural_spread(THETA[0], covariance)
+    np.testing.assert_allclose(found / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-6)
+
+
+def test_a_large_spread_is_that_of_what_is_drawn() -> None:
+    covariance = random_covariance(np.array([0.4, 0.01, 0.02, 0.02, 0.05, 0.05, 0.001, 0.001]))
+    drawn = np.random.default_rng(6).multivariate_normal(THETA[0], covariance, 400_000)
+    off = FREE.natural(drawn) - FREE.natural(THETA[0])
+    expected = np.sqrt((off**2).mean(axis=0))
+    found = np.sqrt(np.diagonal(FREE.natural_spread(THETA[0], covariance)))
+    np.testing.assert_allclose(found[:4] / expected[:4], 1, atol=0.02)
+    # k2 goes with the fourth power of the focal length.
+    np.testing.assert_allclose(found[[4, 6, 7]] / expected[[4, 6, 7]], 1, atol=0.15)
+
+
+def test_what_is_not_known_at_all_spreads_without_end() -> None:
+    assert np.isinf(FREE.natural_spread(THETA[0], np.full((8, 8), np.inf))).all()
+    assert not np.isnan(FREE.natural_spread(THETA[0], random_covariance(1e4 * SPREAD))).any()
+
+
 def test_natural_jacobian() -> None:
     numeric = differences(FREE.natural, THETA, 1e-5 * SPREAD)
     analytic = FREE.natural_jacobian(THETA)

@@ -50,6 +50,7 @@ class Middle(NamedTuple):
     variance: float
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def middle(
     J: Array,
     r: Array,
@@ -97,7 +98,7 @@ def middle(
     v = 1.0
     for _ in range(_STEPS):
         before = e
-        expected = (z + W @ e) ** 2 + ((W @ covariance) * W).sum(axis=1)
+        expected = (z + W @ e) ** 2 + np.maximum(((W @ covariance) * W).sum(axis=1), 0)
         v = variance(float(np.sum((left + of_data @ e) ** 2)))
         more = precisions(expected) - first / v
         information = unit / v + (W.T * more) @ W
@@ -106,9 +107,11 @@ def middle(
         except np.linalg.LinAlgError:
             return None
         e = -covariance @ (W.T @ (more * z))
+        if not np.isfinite(e).all():
+            return None
         if np.abs(e - before).max() < _CONVERGED:
             break
-    length = math.sqrt((e - y) @ information @ (e - y))
+    length = math.sqrt(max(float((e - y) @ information @ (e - y)), 0.0))
     return Middle(inverse @ (e - y), inverse @ covariance @ inverse.T, length, expected, v)
 
 
@@ -141,7 +144,7 @@ def contradictions(J: Array, r: Array, tails: Tails, covariance: Array) -> Array
         without = middle(J, r, others, squares=np.zeros(len(found)))
         if without is not None:
             z = tails.z[row] + by_unknowns @ without.step
-            found[row] = z / np.sqrt(1 + by_unknowns @ without.covariance @ by_unknowns)
+            found[row] = z / math.sqrt(1 + max(float(by_unknowns @ without.covariance @ by_unknowns), 0.0))
     return found
 
 

@@ -193,7 +193,7 @@ class Estimate:
     geometry : Geometry
         Its solution, with a batch of one.
     sigma : float
-        Standard deviation of an image point of weight 1 before the last step, pixels.
+        Standard deviation of an image point of weight 1, pixels.
     stop : Stop
         Why the last iteration stopped.
     """

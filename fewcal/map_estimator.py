@@ -75,8 +75,8 @@ real boards the arrangement that won in the end was foreseen at up to 3.8 times 
 _COARSE = Tolerances(decrease=0.5, relative=0.0, iterations=25, damping=1e-4)
 _ROUND = Tolerances(decrease=1e-2, relative=0.0, iterations=50)
 _FINE = Tolerances(decrease=1e-4, relative=0.0, iterations=1500, damping=1e-6, final_step=True)
-"""Exact points at a small angle leave a long, narrow valley; views that a camera saw take a few steps. To the
-very end, since noise and camera settle on each other in proportion: a short step may be the first of many."""
+"""Exact points at a small angle leave a long, narrow valley; views that a camera saw take a few steps. The
+rest of the way is that to the middle of the posterior."""
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")

@@ -174,7 +174,7 @@ def minimise(
     problem: Problem[State],
     start: State,
     tolerances: Tolerances = Tolerances(),
-    race: bool = False,
+    lead: float | None = None,
     equations: NormalEquations | None = None,
 ) -> Minimum[State]:
     """Minimise every item of a batch from its own start.
@@ -186,8 +186,8 @@ def minimise(
     start : tuple of arrays
         Batch first.
     tolerances : Tolerances
-    race : bool
-        End all as soon as the item of lowest objective has converged.
+    lead : float, optional
+        Give up items whose objective is higher by so much than that of one that has converged.
     equations : NormalEquations, optional
         Of the start, where they are known.
 
@@ -199,11 +199,11 @@ def minimise(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         if equations is None:
             equations = problem.linearise(start)
-        return _minimise(problem, start, equations, tolerances, race)
+        return _minimise(problem, start, equations, tolerances, lead)
 
 
 def _minimise(
-    problem: Problem[State], start: State, equations: NormalEquations, tolerances: Tolerances, race: bool
+    problem: Problem[State], start: State, equations: NormalEquations, tolerances: Tolerances, lead: float | None
 ) -> Minimum[State]:
     whole = problem
     # What is not allowed is NaN from here on.
@@ -216,6 +216,7 @@ def _minimise(
         state, problem, v = take(start, active), problem.take(active), v[active]
         equations = take(equations, active)
     damping, growth = np.full(len(active), tolerances.damping), np.full(len(active), 2.0)
+    lowest = np.inf
     for iteration in range(tolerances.iterations + 1 if len(active) else 0):
         cost = equations.cost(v)
         shared, local, predicted = solve(equations, v, damping)
@@ -223,18 +224,17 @@ def _minimise(
         converged = (predicted <= tolerances.decrease + tolerances.relative * cost) & (damping <= 1)
         stalled = damping > LARGEST_DAMPING
         going_on = ~(converged | stalled)
-        won = (
-            race
-            and converged.any()
-            and converged[np.argmin(problem.objective(equations.squares, equations.shared_squares))]
-        )
-        if won or not going_on.all() or iteration == tolerances.iterations:
+        if lead is not None and (converged.any() or lowest < np.inf):
+            objective = problem.objective(equations.squares, equations.shared_squares)
+            lowest = min(lowest, np.where(converged, objective, np.inf).min())
+            going_on &= objective <= lowest + lead
+        if not going_on.all() or iteration == tolerances.iterations:
             stop[active], iterations[active] = np.where(stalled, int(Stop.STALLED), converged), iteration
             end = state
             if tolerances.final_step:
                 end = problem.retract(state, shared * converged[:, None], local * converged[:, None, None])
             final.store(active, end, equations, v)
-            if won or iteration == tolerances.iterations or not going_on.any():
+            if iteration == tolerances.iterations or not going_on.any():
                 break
             left = np.flatnonzero(going_on)
             active, damping, growth, cost = active[left], damping[left], growth[left], cost[left]

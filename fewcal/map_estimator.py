@@ -66,6 +66,7 @@ SETTLED = 1e-2
 """Length of the last Gauss-Newton step to the middle of the posterior, standard deviations; what is left is
 of the order of its square."""
 
+WIDE = 20.0
 RUNNERS = 2
 """Focal lengths that race for each arrangement of the boards."""
 PROMISING = 10.0
@@ -128,13 +129,12 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometr
     problem = Adjustment(views, model, priors.rows(model.image_size), noise)
     state = start
     if state is None:
-        state = _contenders(problem.believing(noise.known()), _starts(views, model, priors)).state
-        state = state._replace(theta=np.pad(state.theta, ((0, 0), (0, COUNT))))
+        starts = _starts(views, model, priors)
+        state = _departing(_contenders(problem.believing(noise.known()), starts).state)
     # The departures of board and lens are too small to matter before.
     departures = Departures.of(views.points, views.pixels, model.image_size, model.centre)
     problem = replace(problem, departures=departures)
-    several = problem.believing(noise.repeat(len(state.theta)))
-    found = minimise(several, state, _FINE, race=True).best()
+    found = _lowest_of(problem, state)
     scatter, objective = _ahead(problem, noise, found)
     if objective < found.objective[0] - WORTHWHILE:
         trusting = minimise(problem.believing(noise.known(TRUSTING_PX)), found.state, _ROUND)
@@ -142,9 +142,31 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometr
         other = minimise(problem, trusting.state, _FINE)
         if other.objective[0] < found.objective[0]:
             found = other
+    import os
+    if start is None and noise.scatter(found.equations.squares)[0] > float(os.environ.get("ANOTHER", "1.1")) * scatter:
+        constraint = problem.constraint
+        assert isinstance(constraint, PriorRows)
+        source = _arrangements(len(starts.theta) // 2, len(views.points))
+        every = _departing(_arranged(starts, source.reshape(-1, source.shape[2])))
+        wide = _lowest_of(replace(problem, constraint=constraint.widened(WIDE)), every)
+        other = minimise(problem, wide.state, _FINE)
+        if other.objective[0] < found.objective[0]:
+            found = other
     settled, state, sigma = _settled(problem, found)
     estimate = Estimate(settled, state, sigma, Stop(int(found.stop[0])))
     return _Found(estimate, float(found.objective[0]), scatter)
+
+
+def _departing(state: Geometry) -> Geometry:
+    """Add the departures of board and lens to the unknowns, zero."""
+    return state._replace(theta=np.pad(state.theta, ((0, 0), (0, COUNT))))
+
+
+def _lowest_of(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
+    """Find the lowest minimum that a start leads to."""
+    assert problem.noise is not None
+    several = problem.believing(problem.noise.repeat(len(start.theta)))
+    return minimise(several, start, _FINE, lead=HOPELESS).best()
 
 
 def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Adjustment, Geometry, float]:
@@ -290,14 +312,18 @@ def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     kept = _lowest(foreseen, arrangement, RUNNERS)
     kept = kept[foreseen[kept] <= PROMISING * foreseen.min() + HOPELESS]
     arrangement, source = arrangement[kept], source[kept]
-    runners = Geometry(
-        start.theta[source[:, 0]], _of_views(start.rotation, source), _of_views(start.position, source)
-    )
     several = problem.believing(problem.noise.repeat(len(kept)))
-    found = minimise(several, runners, _COARSE, race=True, equations=take(equations, kept))
+    found = minimise(several, _arranged(start, source), _COARSE, lead=HOPELESS, equations=take(equations, kept))
     kept = _lowest(found.objective, arrangement, 1)
     kept = kept[found.objective[kept] <= found.objective.min() + HOPELESS]
     return found.take(kept)
+
+
+def _arranged(start: Geometry, source: NDArray[np.intp]) -> Geometry:
+    """Starts (C) whose views each are those of the starts `source` (C, V)."""
+    return Geometry(
+        start.theta[source[:, 0]], _of_views(start.rotation, source), _of_views(start.position, source)
+    )
 
 
 def _of_views(values: Array, source: NDArray[np.intp]) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -149,6 +149,11 @@ class PriorRows:
             height - np.logaddexp.reduce(height),
             lenses,
         )
+
+    def widened(self, factor: float) -> PriorRows:
+        """The same with t priors of single unknowns that are `factor` times as wide."""
+        scale = np.where((self.tail > 0) & (self.others > 0), 1 / factor, 1.0)
+        return replace(self, whiten=self.whiten * scale[:, None], offset=self.offset * scale)
 
     def __call__(self, theta: Array) -> tuple[Array, Array]:
         """Rows of normal priors that have the slope of these at a camera, their precisions held.

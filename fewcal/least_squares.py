@@ -39,7 +39,7 @@ class Stop(IntEnum):
     """Why an item stopped."""
 
     ITERATIONS = 0
-    """The iterations ran out first: the result may not be a minimum."""
+    """The iterations ran out first, or others lie far lower: the result may not be a minimum."""
     CONVERGED = 1
     """No step is predicted to lower the cost by more than the tolerance."""
     STALLED = 2
@@ -174,7 +174,7 @@ def minimise(
     problem: Problem[State],
     start: State,
     tolerances: Tolerances = Tolerances(),
-    lead: float | None = None,
+    lead: float = np.inf,
     equations: NormalEquations | None = None,
 ) -> Minimum[State]:
     """Minimise every item of a batch from its own start.
@@ -186,8 +186,8 @@ def minimise(
     start : tuple of arrays
         Batch first.
     tolerances : Tolerances
-    lead : float, optional
-        Give up items whose objective is higher by so much than that of one that has converged.
+    lead : float
+        Items are given up once one has converged whose objective is lower by more than this.
     equations : NormalEquations, optional
         Of the start, where they are known.
 
@@ -203,7 +203,7 @@ def minimise(
 
 
 def _minimise(
-    problem: Problem[State], start: State, equations: NormalEquations, tolerances: Tolerances, lead: float | None
+    problem: Problem[State], start: State, equations: NormalEquations, tolerances: Tolerances, lead: float
 ) -> Minimum[State]:
     whole = problem
     # What is not allowed is NaN from here on.
@@ -224,9 +224,9 @@ def _minimise(
         converged = (predicted <= tolerances.decrease + tolerances.relative * cost) & (damping <= 1)
         stalled = damping > LARGEST_DAMPING
         going_on = ~(converged | stalled)
-        if lead is not None and (converged.any() or lowest < np.inf):
+        if lead < np.inf and (converged.any() or lowest < np.inf):
             objective = problem.objective(equations.squares, equations.shared_squares)
-            lowest = min(lowest, np.where(converged, objective, np.inf).min())
+            lowest = objective.min(where=converged, initial=lowest)
             going_on &= objective <= lowest + lead
         if not going_on.all() or iteration == tolerances.iterations:
             stop[active], iterations[active] = np.where(stalled, int(Stop.STALLED), converged), iteration

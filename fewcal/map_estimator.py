@@ -62,15 +62,22 @@ TRUST_LEVELS = np.linspace(0, 1, 6)
 WORTHWHILE = 0.3
 """Gain in the objective, foreseen, for which the other explanation is followed."""
 
+ELSEWHERE = 1.1
+"""Scatter of the residuals over the lowest foreseen, from which on other minima are looked for. Of cameras
+drawn from the prior a third are beyond it, and of those whose lowest minimum was missed six of seven."""
+CONTRADICTED = 2.5
+"""Standard deviations from a prior from which on they are looked for as well."""
+WIDE = 20.0
+"""How many times as wide t priors are for that. With 5 twice as many minima stay missed."""
+
 SETTLED = 1e-2
 """Length of the last Gauss-Newton step to the middle of the posterior, standard deviations; what is left is
 of the order of its square."""
 
-WIDE = 20.0
 RUNNERS = 2
-"""Focal lengths that race for each arrangement of the boards."""
+"""Focal lengths that set out for each arrangement of the boards."""
 PROMISING = 10.0
-"""Multiple of the lowest cost foreseen after one step up to which a start races, with HOPELESS on top. With
+"""Multiple of the lowest cost foreseen after one step up to which a start sets out, with HOPELESS on top. With
 real boards the arrangement that won in the end was foreseen at up to 3.8 times the lowest."""
 
 _COARSE = Tolerances(decrease=0.5, relative=0.0, iterations=25, damping=1e-4)
@@ -127,31 +134,22 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometr
     """Find the best minimum for one camera model, or the one that a start leads to."""
     noise = Noise.of(views, priors)
     problem = Adjustment(views, model, priors.rows(model.image_size), noise)
-    state = start
-    if state is None:
-        starts = _starts(views, model, priors)
-        state = _departing(_contenders(problem.believing(noise.known()), starts).state)
+    starts = None if start is not None else _starts(views, model, priors)
+    if starts is not None:
+        start = _departing(_contenders(problem.believing(noise.known()), starts).state)
+    assert start is not None
     # The departures of board and lens are too small to matter before.
     departures = Departures.of(views.points, views.pixels, model.image_size, model.centre)
     problem = replace(problem, departures=departures)
-    found = _lowest_of(problem, state)
+    found = _descend(problem, start).best()
     scatter, objective = _ahead(problem, noise, found)
+    first = found
     if objective < found.objective[0] - WORTHWHILE:
         trusting = minimise(problem.believing(noise.known(TRUSTING_PX)), found.state, _ROUND)
         scatter = float(noise.scatter(trusting.equations.squares)[0])
-        other = minimise(problem, trusting.state, _FINE)
-        if other.objective[0] < found.objective[0]:
-            found = other
-    import os
-    if start is None and noise.scatter(found.equations.squares)[0] > float(os.environ.get("ANOTHER", "1.1")) * scatter:
-        constraint = problem.constraint
-        assert isinstance(constraint, PriorRows)
-        source = _arrangements(len(starts.theta) // 2, len(views.points))
-        every = _departing(_arranged(starts, source.reshape(-1, source.shape[2])))
-        wide = _lowest_of(replace(problem, constraint=constraint.widened(WIDE)), every)
-        other = minimise(problem, wide.state, _FINE)
-        if other.objective[0] < found.objective[0]:
-            found = other
+        found = _lower(found, _descend(problem, trusting.state).best())
+    if starts is not None and _doubtful(problem, first, scatter):
+        found = _lower(found, _descend(problem, _unprejudiced(problem, starts)).best())
     settled, state, sigma = _settled(problem, found)
     estimate = Estimate(settled, state, sigma, Stop(int(found.stop[0])))
     return _Found(estimate, float(found.objective[0]), scatter)
@@ -162,11 +160,39 @@ def _departing(state: Geometry) -> Geometry:
     return state._replace(theta=np.pad(state.theta, ((0, 0), (0, COUNT))))
 
 
-def _lowest_of(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
-    """Find the lowest minimum that a start leads to."""
+def _descend(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
+    """Find the minima that some starts lead to, but those that are hopeless."""
     assert problem.noise is not None
     several = problem.believing(problem.noise.repeat(len(start.theta)))
-    return minimise(several, start, _FINE, lead=HOPELESS).best()
+    found = minimise(several, start, _FINE, lead=HOPELESS)
+    return found.take(np.flatnonzero(found.objective <= found.objective.min() + HOPELESS))
+
+
+def _lower(one: Minimum[Geometry], other: Minimum[Geometry]) -> Minimum[Geometry]:
+    return other if other.objective[0] < one.objective[0] else one
+
+
+def _doubtful(problem: Adjustment, found: Minimum[Geometry], lowest_scatter: float) -> bool:
+    """Whether a minimum leaves more than the data would, or contradicts a prior."""
+    noise, priors = problem.noise, problem.constraint
+    assert noise is not None
+    assert isinstance(priors, PriorRows)
+    scatter = float(noise.scatter(found.equations.squares)[0])
+    contradicted = bool(priors.distance(found.state.theta[0]).max() > CONTRADICTED)
+    return scatter > COMPUTED_PX and (contradicted or scatter > ELSEWHERE * lowest_scatter)
+
+
+def _unprejudiced(problem: Adjustment, starts: Geometry) -> Geometry:
+    """Find where all starts would lead, were little known of cameras but their focal length and distortion.
+
+    A t prior has walls near its middle and is flat beyond: where the camera lies far out, boards tilted the
+    wrong way, or a long lens, can explain the views at less cost on the way there, with no way on.
+    """
+    priors = problem.constraint
+    assert isinstance(priors, PriorRows)
+    source = _arrangements(len(starts.theta) // 2, len(problem.views.points))
+    every = _arranged(starts, source.reshape(-1, source.shape[2]))
+    return _descend(replace(problem, constraint=priors.widened(WIDE)), _departing(every)).state
 
 
 def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Adjustment, Geometry, float]:
@@ -281,7 +307,7 @@ def _arrangements(focal_lengths: int, views: int) -> NDArray[np.intp]:
 
 
 def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
-    """Let the starts race, and keep the best of each arrangement of the boards that is not hopeless.
+    """Let the starts descend, and keep the best of each arrangement of the boards that is not hopeless.
 
     With one view the kind of lenses that a start has is part of the arrangement.
     Given how the boards are tilted, to this side or to that, the camera has one minimum; the valley from

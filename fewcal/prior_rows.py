@@ -151,7 +151,7 @@ class PriorRows:
         )
 
     def widened(self, factor: float) -> PriorRows:
-        """The same with t priors of single unknowns that are `factor` times as wide."""
+        """Make the t priors `factor` times as wide; those of the radial terms stay."""
         scale = np.where((self.tail > 0) & (self.others > 0), 1 / factor, 1.0)
         return replace(self, whiten=self.whiten * scale[:, None], offset=self.offset * scale)
 

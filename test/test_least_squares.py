@@ -147,15 +147,26 @@ def test_the_final_step_leads_nearer_to_the_minimum() -> None:
     np.testing.assert_array_equal(found.objective, without.objective)
 
 
-def test_a_race_ends_with_its_winner() -> None:
-    alone = minimise(Curve(rosenbrock), Unknowns(STARTS[1:2]))
-    race = minimise(Curve(rosenbrock), Unknowns(STARTS[1:4]), race=True)
-    np.testing.assert_allclose(race.state.x[0], alone.state.x[0], rtol=1e-12)
-    assert (race.iterations == alone.iterations).all()
-    assert race.stop.tolist() == [Stop.CONVERGED, Stop.ITERATIONS, Stop.ITERATIONS]
-    best = race.best()
-    np.testing.assert_array_equal(best.state.x, race.state.x[:1])
-    assert best.objective == race.objective.min()
+def two_wells(x: Array) -> tuple[Array, Array]:
+    """One minimum at 1 with a cost of 0, and one near -1 with a cost of about 2."""
+    r = np.concatenate([3 * (x**2 - 1), x - 1], axis=1)
+    return r, np.stack([6 * x, np.ones_like(x)], axis=1)
+
+
+def test_items_far_above_one_that_has_converged_are_given_up() -> None:
+    starts = np.array([[1.0], [-1.5], [1.05]])
+    alone = minimise(Curve(two_wells), Unknowns(starts))
+    assert (alone.stop == Stop.CONVERGED).all()
+    assert alone.objective[1] > 1
+    led = minimise(Curve(two_wells), Unknowns(starts), lead=0.1)
+    assert led.stop.tolist() == [Stop.CONVERGED, Stop.ITERATIONS, Stop.CONVERGED]
+    assert led.iterations[1] < alone.iterations[1]
+    # What is not that far above descends to its end.
+    np.testing.assert_allclose(led.state.x[[0, 2]], alone.state.x[[0, 2]], rtol=0, atol=0)
+    best = led.best()
+    assert best.objective == led.objective.min()
+    far = minimise(Curve(two_wells), Unknowns(starts), lead=1e3)
+    np.testing.assert_array_equal(far.state.x, alone.state.x)
 
 
 def test_stop_when_the_iterations_run_out() -> None:

@@ -141,15 +141,15 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometr
     # The departures of board and lens are too small to matter before.
     departures = Departures.of(views.points, views.pixels, model.image_size, model.centre)
     problem = replace(problem, departures=departures)
-    found = _descend(problem, start).best()
+    found = _descend(problem, start)
     scatter, objective = _ahead(problem, noise, found)
     first = found
     if objective < found.objective[0] - WORTHWHILE:
         trusting = minimise(problem.believing(noise.known(TRUSTING_PX)), found.state, _ROUND)
         scatter = float(noise.scatter(trusting.equations.squares)[0])
-        found = _lower(found, _descend(problem, trusting.state).best())
+        found = _lower(found, _descend(problem, trusting.state))
     if starts is not None and _doubtful(problem, first, scatter):
-        found = _lower(found, _descend(problem, _unprejudiced(problem, starts)).best())
+        found = _lower(found, _descend(problem, _unprejudiced(problem, starts)))
     settled, state, sigma = _settled(problem, found)
     estimate = Estimate(settled, state, sigma, Stop(int(found.stop[0])))
     return _Found(estimate, float(found.objective[0]), scatter)
@@ -161,11 +161,10 @@ def _departing(state: Geometry) -> Geometry:
 
 
 def _descend(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
-    """Find the minima that some starts lead to, but those that are hopeless."""
+    """Find the lowest minimum that some starts lead to."""
     assert problem.noise is not None
     several = problem.believing(problem.noise.repeat(len(start.theta)))
-    found = minimise(several, start, _FINE, lead=HOPELESS)
-    return found.take(np.flatnonzero(found.objective <= found.objective.min() + HOPELESS))
+    return minimise(several, start, _FINE, lead=HOPELESS).best()
 
 
 def _lower(one: Minimum[Geometry], other: Minimum[Geometry]) -> Minimum[Geometry]:
@@ -188,11 +187,13 @@ def _unprejudiced(problem: Adjustment, starts: Geometry) -> Geometry:
     A t prior has walls near its middle and is flat beyond: where the camera lies far out, boards tilted the
     wrong way, or a long lens, can explain the views at less cost on the way there, with no way on.
     """
-    priors = problem.constraint
+    noise, priors = problem.noise, problem.constraint
+    assert noise is not None
     assert isinstance(priors, PriorRows)
-    source = _arrangements(len(starts.theta) // 2, len(problem.views.points))
-    every = _arranged(starts, source.reshape(-1, source.shape[2]))
-    return _descend(replace(problem, constraint=priors.widened(WIDE)), _departing(every)).state
+    source, arrangement = _arrangements(starts, priors)
+    wide = replace(problem, constraint=priors.widened(WIDE), noise=noise.repeat(len(source)))
+    found = minimise(wide, _departing(_arranged(starts, source)), _ROUND, lead=HOPELESS)
+    return _best_of_each(found, arrangement).state
 
 
 def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Adjustment, Geometry, float]:
@@ -299,11 +300,23 @@ def _starts(views: ViewStack, model: ScaleFree, priors: Priors) -> Geometry:
     return Geometry(theta.reshape(-1, 8), R.reshape(-1, count, 3, 3), t.reshape(-1, count, 3))
 
 
-def _arrangements(focal_lengths: int, views: int) -> NDArray[np.intp]:
-    """Which of the starts each view is taken from, in all combinations of poses, (F, 2^V, V)."""
+def _arrangements(start: Geometry, priors: PriorRows) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Combine the poses that each view has with a focal length.
+
+    Returns
+    -------
+    source : (N, V)
+        From which start each view is taken.
+    arrangement : (N,)
+        The same for the same poses and, with one view, kind of lenses, whatever the focal length.
+    """
+    views = start.rotation.shape[1]
     poses = list(product((0, 1), repeat=views)) if views <= ENUMERATED_VIEWS else [(0,) * views, (1,) * views]
-    source: NDArray[np.intp] = 2 * np.arange(focal_lengths)[:, None, None] + np.array(poses)
-    return source
+    lenses = np.arange(len(start.theta) // 2)
+    source = 2 * lenses[:, None, None] + np.array(poses, dtype=np.intp)
+    kind = lenses * (len(priors.lenses.share) if views == 1 else 1) // len(lenses)
+    arrangement = kind[:, None] * len(poses) + np.arange(len(poses))
+    return source.reshape(-1, views), arrangement.ravel()
 
 
 def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
@@ -319,11 +332,7 @@ def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     assert isinstance(priors, PriorRows)
     # Each view is linearised once for each focal length and pose, and then combined.
     equations = problem.linearise(start)
-    source = _arrangements(len(start.theta) // 2, len(problem.views.points))
-    kinds = len(priors.lenses.share) if source.shape[2] == 1 else 1
-    kind = np.arange(len(source)) * kinds // len(source)
-    arrangement = (kind[:, None] * source.shape[1] + np.arange(source.shape[1])).ravel()
-    source = source.reshape(-1, source.shape[2])
+    source, arrangement = _arrangements(start, priors)
     equations = NormalEquations(_of_views(equations.groups, source), equations.shared[source[:, 0]])
     allowed = np.flatnonzero(np.isfinite(equations.squares))
     if not len(allowed):
@@ -340,9 +349,13 @@ def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     arrangement, source = arrangement[kept], source[kept]
     several = problem.believing(problem.noise.repeat(len(kept)))
     found = minimise(several, _arranged(start, source), _COARSE, lead=HOPELESS, equations=take(equations, kept))
+    return _best_of_each(found, arrangement)
+
+
+def _best_of_each(found: Minimum[Geometry], arrangement: NDArray[np.intp]) -> Minimum[Geometry]:
+    """Keep the lowest minimum of each arrangement that is not hopeless."""
     kept = _lowest(found.objective, arrangement, 1)
-    kept = kept[found.objective[kept] <= found.objective.min() + HOPELESS]
-    return found.take(kept)
+    return found.take(kept[found.objective[kept] <= found.objective.min() + HOPELESS])
 
 
 def _arranged(start: Geometry, source: NDArray[np.intp]) -> Geometry:

@@ -4,9 +4,9 @@ Cameras come from the estimator's prior (:class:`fewcal.Priors`), or from one wh
 ratio are spread several times as wide. Corner errors come from one of :data:`ERRORS`:
 
 assumed
-    What the estimator believes (doc/estimator.md): a bent and stretched board, a lens with a remainder,
-    errors of scatter s that four corners share, and on top of them errors of min(0.3 px, 3 s) of which only
-    the part that camera and poses absorb is kept; all views have a part of both in common.
+    What the estimator believes (doc/estimator.md): a bent and stretched board, a lens with a remainder, and
+    errors of scatter s, but for the part that camera and poses absorb, which is larger
+    (:func:`fewcal.noise.total_sigma`); all views have a part of both in common.
 iid
     Independent errors of 0.03 to 0.3 px.
 real
@@ -35,7 +35,7 @@ from fewcal.constraints import Distribution, Priors, StudentT
 from fewcal.copies import SHARED
 from fewcal.departures import lens_remainder as radial_remainder
 from fewcal.distortion import fold_radius
-from fewcal.noise import ABSORBED, CORRELATION, MODEL_ERROR_PX
+from fewcal.noise import total_sigma
 from fewcal.parametrisation import ScaleFree
 from fewcal.radial_prior import Lenses
 from fewcal.verdict import folds_inside
@@ -191,11 +191,11 @@ def assumed(scene: Scene, rng: np.random.Generator, far_out: float | None = None
     remainder = np.clip(_draw(priors.lens_remainder, rng), -LARGEST * SEVENTH, LARGEST * SEVENTH)
     centre = scene.camera.intrinsics[2:]
     exact += remainder * radial_remainder(exact.swapaxes(1, 2), scene.size, centre).swapaxes(1, 2)
-    # The covariances of one corner with all others sum to 2 pi l^2 for errors alike over l squares.
-    alike = smooth_field(scene.board, CORRELATION / np.sqrt(2 * np.pi))
-    together = scatter * alike @ _repeated(exact.shape, rng)
-    loose = min(MODEL_ERROR_PX, ABSORBED * scatter) * _repeated(exact.shape, rng)
-    return _views(scene, exact + together + absorbed_part(scene, loose))
+    left, absorbed = (
+        scatter * _repeated(exact.shape, rng),
+        total_sigma(np.array(scatter)) * _repeated(exact.shape, rng),
+    )
+    return _views(scene, exact + left + absorbed_part(scene, absorbed - left))
 
 
 def _repeated(shape: tuple[int, ...], rng: np.random.Generator) -> Array:

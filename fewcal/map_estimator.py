@@ -77,8 +77,8 @@ of the order of its square."""
 RUNNERS = 2
 """Focal lengths that set out for each arrangement of the boards."""
 PROMISING = 10.0
-"""Multiple of the lowest cost foreseen after one step up to which a start sets out, with HOPELESS on top. With
-real boards the arrangement that won in the end was foreseen at up to 3.8 times the lowest."""
+"""Multiple of the lowest cost foreseen after one step up to which a start sets out, with HOPELESS on top.
+With real boards the arrangement that won in the end was foreseen at up to 3.8 times the lowest."""
 
 _COARSE = Tolerances(decrease=0.5, relative=0.0, iterations=25, damping=1e-4)
 _ROUND = Tolerances(decrease=1e-2, relative=0.0, iterations=50)
@@ -348,7 +348,9 @@ def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     kept = kept[foreseen[kept] <= PROMISING * foreseen.min() + HOPELESS]
     arrangement, source = arrangement[kept], source[kept]
     several = problem.believing(problem.noise.repeat(len(kept)))
-    found = minimise(several, _arranged(start, source), _COARSE, lead=HOPELESS, equations=take(equations, kept))
+    found = minimise(
+        several, _arranged(start, source), _COARSE, lead=HOPELESS, equations=take(equations, kept)
+    )
     return _best_of_each(found, arrangement)
 
 

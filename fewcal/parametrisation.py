@@ -113,7 +113,9 @@ class ScaleFree(NamedTuple):
         with np.errstate(over="ignore", invalid="ignore"):
             at = theta + _NODES[:, None] * scale * triangle[0]
             off = self.natural(at) - self.natural(theta)
-            steps = np.concatenate([off[:, None], scale * triangle[1:] @ np.swapaxes(self.natural_jacobian(at), 1, 2)], 1)
+            steps = np.concatenate(
+                [off[:, None], scale * triangle[1:] @ np.swapaxes(self.natural_jacobian(at), 1, 2)], 1
+            )
             steps = (np.sqrt(_SHARES)[:, None, None] * steps).reshape(-1, len(theta))
             spread: Array = steps.T @ steps
         return np.where(np.isnan(spread), np.inf, spread)

@@ -30,7 +30,8 @@ class Posterior(NamedTuple):
     Attributes
     ----------
     covariance : (S, S)
-        Second moment of the unknowns of :class:`Eliminated` about the estimate, poses marginalised.
+        Of the unknowns of :class:`Eliminated` about the estimate, poses marginalised, see
+        :class:`fewcal.scale_mixture.Moments`.
     prior_covariance : (S, S)
         What was known before the first view, the precision of every prior at its mean.
     views : (V, S, S)

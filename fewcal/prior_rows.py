@@ -151,8 +151,9 @@ class PriorRows:
         )
 
     def widened(self, factor: float) -> PriorRows:
-        """Make the t priors `factor` times as wide; those of the radial terms stay."""
+        """Make the t priors of the camera `factor` times as wide, but those of the radial terms."""
         scale = np.where((self.tail > 0) & (self.others > 0), 1 / factor, 1.0)
+        scale[-COUNT:] = 1.0
         return replace(self, whiten=self.whiten * scale[:, None], offset=self.offset * scale)
 
     def __call__(self, theta: Array) -> tuple[Array, Array]:

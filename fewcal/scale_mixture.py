@@ -20,6 +20,10 @@ Array = NDArray[np.float64]
 
 POINTS = 128
 """Sets of precisions averaged over."""
+ORDER = 1.5
+"""Order of the mean of the standard deviations of all parts that is reported. The root mean square, 2, of
+what a t prior with nu <= 2 leaves is infinite, were it not for the data: two of it hold .95 of the errors and
+one .75. The mean, 1, holds .71 and .935; between them both are what they are of a normal distribution."""
 _TABLE = 4096
 """Points of the table that inverts a gamma distribution."""
 
@@ -58,8 +62,9 @@ class Moments(NamedTuple):
     Attributes
     ----------
     covariance : (S, S)
-        Second moment about the estimate rather than about the mean, so that it is the error of the estimate
-        that it tells; infinite where nothing holds an unknown.
+        About the estimate rather than about the mean, so that it is the error of the estimate that it tells.
+        Along each of its axes the standard deviation is the mean, of :data:`ORDER`, of those of all parts;
+        infinite where nothing holds an unknown.
     precision : (K,)
         Mean precision of each row of the priors.
     """
@@ -99,8 +104,24 @@ def moments(J: Array, r: Array, tails: Tails) -> Moments:
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     off = e - y[:, None]
+    root = inverse @ _root_of_mixture(covariance, off, weight)
+    return Moments(root @ root.T, (weight @ precisions)[tails.group])
+
+
+def _root_of_mixture(covariance: Array, off: Array, weight: Array) -> Array:
+    """Root (S, S) of the covariance of a mixture, about zero, whose axes are those of its second moment.
+
+    Parameters
+    ----------
+    covariance : (S, S, M), off : (S, M), weight : (M,)
+        Of the parts, which are normal, and where they lie.
+    """
     second = covariance @ weight + (weight * off) @ off.T
-    return Moments(inverse @ second @ inverse.T, (weight @ precisions)[tails.group])
+    axes = np.linalg.eigh(second)[1]
+    along = (axes[:, None] * axes).reshape(-1, len(axes)).T @ covariance.reshape(-1, len(weight))
+    squares = np.maximum(along, 0) + (axes.T @ off) ** 2
+    root: Array = axes * (squares ** (ORDER / 2) @ weight) ** (1 / ORDER)
+    return root
 
 
 def _proposals(nu: Array, counts: Array, squares: Array, height: Array) -> tuple[Array, Array, Array]:

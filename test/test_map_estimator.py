@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -21,6 +23,7 @@ Array = NDArray[np.float64]
 
 FREE = ScaleFree(SIZE)
 TILTS = ((40, 30), (35, 120), (30, -60), (20, 80), (45, 200))
+UNSQUARE = replace(CAMERA, fy=1000.0)
 THETA = FREE.theta(np.concatenate([CAMERA.intrinsics, CAMERA.distortion[:4]]))
 
 
@@ -47,14 +50,22 @@ def test_starts_are_focal_lengths_with_either_pose_of_each_view(count: int) -> N
         assert np.trace(angles, axis1=1, axis2=2).min() < 1 + 2 * np.cos(np.radians(25)), "both poses occur"
 
 
+def starts_of(lenses: int, views: int) -> Geometry:
+    """So many cameras, each with both poses of all views."""
+    count = 2 * lenses
+    return Geometry(np.zeros((count, 8)), np.zeros((count, views, 3, 3)), np.zeros((count, views, 3)))
+
+
 def test_arrangements_combine_the_poses_of_few_views_of_one_focal_length() -> None:
-    assert _arrangements(2, 2).tolist() == [
-        [[0, 0], [0, 1], [1, 0], [1, 1]],
-        [[2, 2], [2, 3], [3, 2], [3, 3]],
-    ]
+    priors = Priors().rows(SIZE)
+    source, arrangement = _arrangements(starts_of(2, 2), priors)
+    assert source.tolist() == [[0, 0], [0, 1], [1, 0], [1, 1], [2, 2], [2, 3], [3, 2], [3, 3]]
+    assert arrangement.tolist() == [0, 1, 2, 3] * 2
     for views in range(1, ENUMERATED_VIEWS + 1):
-        assert _arrangements(5, views).shape == (5, 2**views, views)
-    assert _arrangements(1, ENUMERATED_VIEWS + 1).tolist() == [[[0] * 4, [1] * 4]]
+        assert _arrangements(starts_of(6, views), priors)[0].shape == (6 * 2**views, views)
+    assert _arrangements(starts_of(1, ENUMERATED_VIEWS + 1), priors)[0].tolist() == [[0] * 4, [1] * 4]
+    # With one view the first cameras have another kind of lens than the last.
+    assert _arrangements(starts_of(4, 1), priors)[1].tolist() == [0, 1, 0, 1, 2, 3, 2, 3]
 
 
 def test_starts_of_a_board_in_another_plane_are_in_its_own_axes() -> None:
@@ -130,6 +141,28 @@ def test_the_true_camera_is_no_better_than_the_estimate() -> None:
         for e in map(found.adjustment.linearise, (found.geometry, truth))
     ]
     assert objective[0] < objective[1]
+
+
+@pytest.mark.parametrize(
+    ("camera", "tilts", "span"),
+    [
+        (UNSQUARE, ((5, 30), (5, 150)), 0.6),
+        (UNSQUARE, ((3, 0), (3, 90), (3, 200)), 0.3),
+        (UNSQUARE, ((5, 0), (5, 60), (5, 120), (5, 200), (5, 300)), 0.3),
+        (replace(CAMERA, fy=1067.0), ((0, 0), (0, 40), (0, 80)), 0.6),
+        (replace(CAMERA, cx=960.0, cy=640.0), ((10, 30),), 0.6),
+    ],
+)
+def test_no_minimum_near_the_truth_is_lower_far_out_in_the_tails_of_the_prior(
+    camera: Camera, tilts: tuple[tuple[float, float], ...], span: float
+) -> None:
+    # Boards tilted the wrong way, or a lens three times as long, explain such views in ways of their own.
+    poses = [pose(tilt, about, about if tilt == 0 else 0, span, camera=camera) for tilt, about in tilts]
+    found = estimate_map(stack_views(noisy([view(T, camera=camera) for T in poses], 0.1, 0)), SIZE, Priors())
+    theta = FREE.theta(np.concatenate([camera.intrinsics, camera.distortion[:4]]))
+    truth = Geometry(np.append(theta, np.zeros(4))[None], *geometry(poses))
+    here, there = (minimise(found.adjustment, start).objective[0] for start in (found.geometry, truth))
+    assert here < there + 0.5
 
 
 def test_exact_points_are_taken_at_their_word_against_the_prior() -> None:

@@ -236,3 +236,20 @@ def test_the_normal_prior_is_as_wide_as_the_kinds_of_lenses_together() -> None:
     ]
     expected = np.cov(np.concatenate(drawn).T)
     np.testing.assert_allclose(covariance_from_rows(normal)[4:6, 4:6], expected, rtol=0.03)
+
+
+@pytest.mark.parametrize("factor", [1.0, 20.0])
+def test_widened_t_priors_of_the_camera_are_those_of_a_larger_scale(factor: float) -> None:
+    def wide(prior: Distribution) -> Distribution:
+        return StudentT(prior.nu, factor * prior.scale, prior.mean) if isinstance(prior, StudentT) else prior
+
+    own = Priors(log_aspect=StudentT(2.0, 0.003, mean=0.01), principal_point_y=Normal(0.0, 0.02))
+    larger = {
+        name: wide(getattr(own, name))
+        for name in (
+            "log_aspect", "principal_point_x", "principal_point_y", "tangential",
+        )
+    }  # fmt: skip
+    cameras = np.random.default_rng(3).normal(0, 0.05, (5, 12))
+    expected = replace(own, **larger).rows((1280, 960)).squares(cameras)
+    np.testing.assert_allclose(own.rows((1280, 960)).widened(factor).squares(cameras), expected, rtol=1e-12)

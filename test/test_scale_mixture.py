@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.stats import gamma, qmc
 from scipy.stats import t as student
 
-from fewcal.scale_mixture import POINTS, Tails, _even_points, gamma_quantile, moments
+from fewcal.scale_mixture import ORDER, POINTS, Tails, _even_points, gamma_quantile, moments
 
 Array = NDArray[np.float64]
 
@@ -16,11 +16,24 @@ def one(nu: float, z: float, scale: float = 1.0) -> Tails:
     return Tails(np.array([z]), np.array([[1 / scale]]), np.array([0]), np.array([nu]))
 
 
-def integrated(nu: float, z: float, sd: float, off: float) -> float:
-    """Second moment about the estimate of a t prior times a normal likelihood, by quadrature."""
-    x = np.linspace(-200, 200, 400_001)
-    density = student.pdf(x + z, nu) * np.exp(-0.5 * ((x + off) / sd) ** 2)
-    return float((density * x**2).sum() / density.sum())
+def integrated(priors: list[tuple[float, float, float, float]], sd: float, off: float) -> float:
+    """Standard deviation about the estimate of a mixture of t priors times a normal likelihood.
+
+    By quadrature over the precision of each prior: share, nu, scale and z.
+    """
+    deviation = weight = 0.0
+    for share, nu, scale, z in priors:
+        logarithm = np.linspace(-40, 8, 100_001)
+        each = np.exp(logarithm)
+        of_prior = each / scale**2
+        precision = 1 / sd**2 + of_prior
+        mean = -(off / sd**2 + of_prior * z * scale) / precision
+        exponent = off**2 / sd**2 + each * z**2 - precision * mean**2
+        density = gamma.pdf(each, nu / 2, scale=2 / nu) * each  # of the logarithm
+        likely = share * density * np.sqrt(of_prior / precision) * np.exp(-0.5 * exponent)
+        deviation += float((likely * (1 / precision + mean**2) ** (ORDER / 2)).sum())
+        weight += float(likely.sum())
+    return float((deviation / weight) ** (1 / ORDER))
 
 
 @pytest.mark.parametrize("shape", [0.5, 0.875, 1.25, 1.75, 5.0, 60.0])
@@ -42,9 +55,13 @@ def test_points_spread_more_evenly_than_random_ones(dimension: int) -> None:
 @pytest.mark.parametrize(
     ("z", "sd", "off"), [(0, 0.3, 0), (0, 1, 0), (0, 3, 0), (3, 0.5, 0.1), (-8, 1, -0.3)]
 )
-def test_moment_of_one_unknown_is_that_of_its_posterior(nu: float, z: float, sd: float, off: float) -> None:
+def test_deviation_of_one_unknown_is_that_of_its_posterior(
+    nu: float, z: float, sd: float, off: float
+) -> None:
     found = moments(np.array([[1 / sd]]), np.array([off / sd]), one(nu, z))
-    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(np.sqrt(integrated(nu, z, sd, off)), rel=0.08)
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(
+        integrated([(1.0, nu, 1.0, z)], sd, off), rel=0.08
+    )
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
@@ -57,13 +74,19 @@ def test_of_two_alternatives_each_counts_as_it_is_likely(share: float, sd: float
     # The density at the mean of a t in one dimension depends on its nu, of a bivariate one it does not.
     tails = tails._replace(height=height + [student.logpdf(0, each) for each in nu])
     found = moments(np.array([[1 / sd]]), np.array([0.2 / sd]), tails)
-    x = np.linspace(-60, 60, 400_001)
-    density = sum(
-        part * student.pdf(x / s + at, n) / s
-        for part, s, at, n in zip((share, 1 - share), scale, z, nu, strict=True)
-    ) * np.exp(-0.5 * ((x + 0.2) / sd) ** 2)
-    expected = np.sqrt((density * x**2).sum() / density.sum())
+    expected = integrated(list(zip((share, 1 - share), nu, scale, z, strict=True)), sd, 0.2)
     assert np.sqrt(found.covariance[0, 0]) == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize("nu", [3.0, 5.0, 30.0])
+def test_one_and_two_sigma_hold_nearly_what_they_do_of_a_normal_distribution(
+    nu: float,
+) -> None:
+    sd = np.sqrt(moments(np.array([[1e-3]]), np.zeros(1), one(nu, 0.0)).covariance[0, 0])
+    within = 2 * student.cdf(sd * np.array([1, 2]), nu) - 1
+    assert within == pytest.approx([0.68, 0.95], abs=0.09)
+    by_root_mean_square = 2 * student.cdf(np.sqrt(nu / (nu - 2)), nu) - 1
+    assert within[0] <= by_root_mean_square + 0.002
 
 
 def test_a_normal_prior_is_exact() -> None:

@@ -63,12 +63,12 @@ WORTHWHILE = 0.3
 """Gain in the objective, foreseen, for which the other explanation is followed."""
 
 ELSEWHERE = 1.1
-"""Scatter of the residuals over the lowest foreseen, from which on other minima are looked for. Of cameras
-drawn from the prior a third are beyond it, and of those whose lowest minimum was missed six of seven."""
+"""Scatter of the residuals over the lowest foreseen, from which on other minima are looked for. A third of
+drawn cameras are beyond it, and six of seven of those whose lowest minimum would be missed."""
 CONTRADICTED = 2.5
-"""Standard deviations from a prior from which on they are looked for as well."""
+"""Standard deviations from a prior from which on other minima are looked for as well."""
 WIDE = 20.0
-"""How many times as wide t priors are for that. With 5 twice as many minima stay missed."""
+"""How many times as wide t priors are for that. With 5 nearly twice as many minima stay missed."""
 
 SETTLED = 1e-2
 """Length of the last Gauss-Newton step to the middle of the posterior, standard deviations; what is left is
@@ -142,8 +142,7 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometr
     departures = Departures.of(views.points, views.pixels, model.image_size, model.centre)
     problem = replace(problem, departures=departures)
     found = _descend(problem, start)
-    scatter, objective = _ahead(problem, noise, found)
-    first = found
+    first, (scatter, objective) = found, _ahead(problem, noise, found)
     if objective < found.objective[0] - WORTHWHILE:
         trusting = minimise(problem.believing(noise.known(TRUSTING_PX)), found.state, _ROUND)
         scatter = float(noise.scatter(trusting.equations.squares)[0])

@@ -40,6 +40,7 @@ _SCALE_FREE = _scale_free_terms()
 
 _NODES, _SHARES = np.polynomial.hermite_e.hermegauss(5)
 _SHARES /= _SHARES.sum()
+"""Points and weights that integrate over a normal distribution, by Gauss and Hermite."""
 
 
 class ScaleFree(NamedTuple):
@@ -100,24 +101,19 @@ class ScaleFree(NamedTuple):
     def natural_spread(self, theta: Array, covariance: Array) -> Array:
         """Second moment (8, 8) of :meth:`natural` about what it is at `theta` (8,), for a covariance (8, 8).
 
-        Gauss-Hermite along ln fx, of which all others are a linear function nearly. A focal length that is
-        known to 40 % may well be twice as long but not negative, and k1 = a1 / rc^2 with it four times as
-        large, which the derivative alone would not tell.
+        By Gauss-Hermite along ln fx, and by the derivative along all others. A focal length that is known to
+        40 % may well be twice as long but not negative, and k1 = a1 / rc^2 with it four times as large, which
+        the derivative alone would not tell.
         """
         if not np.isfinite(covariance).all():
             return np.full_like(covariance, np.inf)
-        scale = np.sqrt(np.diagonal(covariance))
-        value, vector = np.linalg.eigh(covariance / scale / scale[:, None])
-        # The triangle, in which the focal length has a part in the first of the steps only.
-        triangle = np.asarray(np.linalg.qr((vector * np.sqrt(np.maximum(value, 0))).T, mode="r"))
+        along = covariance[0] / math.sqrt(covariance[0, 0])
+        across = covariance - np.outer(along, along)
         with np.errstate(over="ignore", invalid="ignore"):
-            at = theta + _NODES[:, None] * scale * triangle[0]
-            off = self.natural(at) - self.natural(theta)
-            steps = np.concatenate(
-                [off[:, None], scale * triangle[1:] @ np.swapaxes(self.natural_jacobian(at), 1, 2)], 1
-            )
-            steps = (np.sqrt(_SHARES)[:, None, None] * steps).reshape(-1, len(theta))
-            spread: Array = steps.T @ steps
+            at = theta + _NODES[:, None] * along
+            off, J = self.natural(at) - self.natural(theta), self.natural_jacobian(at)
+            each = off[:, :, None] * off[:, None] + J @ across @ np.swapaxes(J, 1, 2)
+            spread: Array = np.tensordot(_SHARES, each, 1)
         return np.where(np.isnan(spread), np.inf, spread)
 
     def theta(self, natural: Array) -> Array:

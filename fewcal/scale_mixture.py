@@ -63,8 +63,8 @@ class Moments(NamedTuple):
     ----------
     covariance : (S, S)
         About the estimate rather than about the mean, so that it is the error of the estimate that it tells.
-        Along each of its axes the standard deviation is the mean, of :data:`ORDER`, of those of all parts;
-        infinite where nothing holds an unknown.
+        Along each of its axes the standard deviation is the mean of order :data:`ORDER` of those of all
+        parts; infinite where nothing holds an unknown.
     precision : (K,)
         Mean precision of each row of the priors.
     """
@@ -105,11 +105,15 @@ def moments(J: Array, r: Array, tails: Tails) -> Moments:
     weight /= weight.sum()
     off = e - y[:, None]
     root = inverse @ _root_of_mixture(covariance, off, weight)
+    if not np.isfinite(root).all():
+        return Moments(np.full(T.shape, np.inf), near**2)
     return Moments(root @ root.T, (weight @ precisions)[tails.group])
 
 
 def _root_of_mixture(covariance: Array, off: Array, weight: Array) -> Array:
     """Root (S, S) of the covariance of a mixture, about zero, whose axes are those of its second moment.
+
+    NaN where rounding has left none.
 
     Parameters
     ----------
@@ -117,6 +121,8 @@ def _root_of_mixture(covariance: Array, off: Array, weight: Array) -> Array:
         Of the parts, which are normal, and where they lie.
     """
     second = covariance @ weight + (weight * off) @ off.T
+    if not np.isfinite(second).all():
+        return np.full_like(second, np.nan)
     axes = np.linalg.eigh(second)[1]
     along = (axes[:, None] * axes).reshape(-1, len(axes)).T @ covariance.reshape(-1, len(weight))
     squares = np.maximum(along, 0) + (axes.T @ off) ** 2

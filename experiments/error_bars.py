@@ -68,19 +68,25 @@ Job = tuple[str, int, int]
 """Scenario, tilt in degrees, number of the draw."""
 
 
-def run(job: Job) -> Draw:
-    """Draw a scene, calibrate from it and compare."""
+def scene_of(job: Job) -> tuple[Scene, list[fewcal.View], str, np.random.Generator]:
+    """Draw a scene and its views, one of :data:`SPANS`; the generator is for what else is to be drawn."""
     scenario, tilt, number = job
     rng = np.random.default_rng([list(SCENARIOS).index(scenario), tilt, number])
     errors, width = SCENARIOS[scenario]
-    views = VIEWS[number % len(VIEWS)]
     distance = tuple(SPANS)[number // len(VIEWS) % len(SPANS)]
-    scene = draw_scene(rng, tilt, views, distance, width)
+    scene = draw_scene(rng, tilt, VIEWS[number % len(VIEWS)], distance, width)
+    return scene, ERRORS[errors](scene, rng), distance, rng
+
+
+def run(job: Job) -> Draw:
+    """Draw a scene, calibrate from it and compare."""
+    scene, views, distance, rng = scene_of(job)
+    drawn = (job[0], job[1], len(views), distance)
     try:
-        found = fewcal.calibrate(ERRORS[errors](scene, rng), scene.size)
+        found = fewcal.calibrate(views, scene.size)
     except fewcal.FewcalError:
-        return Draw(scenario, tilt, views, distance)
-    return Draw(scenario, tilt, views, distance, *compare(found, scene, rng))
+        return Draw(*drawn)
+    return Draw(*drawn, *compare(found, scene, rng))
 
 
 def compare(found: fewcal.Calibration, scene: Scene, rng: np.random.Generator) -> tuple[float, ...]:

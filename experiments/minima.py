@@ -16,9 +16,9 @@ from concurrent.futures import ProcessPoolExecutor
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from error_bars import SCENARIOS, SPANS, TILTS_DEG, VIEWS
+from error_bars import TILTS_DEG, Job, scene_of
 from numpy.typing import NDArray
-from synthetic import ERRORS, Scene, draw_scene
+from synthetic import Scene
 
 import fewcal
 from fewcal.adjustment import Geometry
@@ -42,14 +42,9 @@ def truth(scene: Scene, stack: ViewStack) -> Geometry:
     return Geometry(theta[None], (R @ stack.plane)[None], position[None])
 
 
-def missed_by(job: tuple[str, int, int]) -> float:
+def missed_by(job: Job) -> float:
     """Objective of the estimate's minimum less that of the truth's; infinite without an answer."""
-    scenario, tilt, number = job
-    rng = np.random.default_rng([list(SCENARIOS).index(scenario), tilt, number])
-    errors, width = SCENARIOS[scenario]
-    distance = tuple(SPANS)[number // len(VIEWS) % len(SPANS)]
-    scene = draw_scene(rng, tilt, VIEWS[number % len(VIEWS)], distance, width)
-    views = ERRORS[errors](scene, rng)
+    scene, views, _, _ = scene_of(job)
     stack = stack_views(views)
     try:
         found = estimate_map(stack, scene.size, Priors(), copies(views, scene.size))

@@ -1,12 +1,13 @@
 """Whether the error bars tell the truth: cameras, views and errors drawn at random, calibrated with map.
 
-    python experiments/coverage.py [--trials 8] [--scenarios assumed,real,...] [--out DIR]
+    python experiments/coverage.py [--trials 8] [--scenarios assumed,real,...] [--out DIR] [--plots DIR]
 
 `--trials` calibrations for each scenario and tilt of the board, from one view or up to five, near and far;
 then a table of how many truths lay within 1, 2 and 3 reported standard deviations (.68, .95 and 1.00 if the
 bars are honest), for fx, cx, cy, k1, for a random pixel (`Calibration.projection_std`) and for the same
 pixel after the best rotation; then how often the verdict names a degenerate arrangement of views. The models
-of cameras and errors stand in synthetic.py. `--out` also writes every draw (coverage.csv) and a plot.
+of cameras and errors stand in synthetic.py. `--out` writes every draw (coverage.csv), `--plots`
+draws the shares over the tilt, which needs matplotlib.
 """
 
 from __future__ import annotations
@@ -84,6 +85,7 @@ def degeneracies(trials: int, pool: ProcessPoolExecutor) -> None:
 
 def save(draws: Sequence[Draw], folder: Path) -> None:
     """Write coverage.csv, one line a draw."""
+    folder.mkdir(parents=True, exist_ok=True)
     with (folder / "coverage.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(field.name for field in fields(Draw))
@@ -111,7 +113,8 @@ def plot(draws: Sequence[Draw], folder: Path) -> None:
     axes[0, 0].legend()
     figure.supxlabel("tilt of the board, degrees")
     figure.supylabel("truths within 1 (dashed) and 2 (solid) reported standard deviations")
-    figure.savefig(folder / "coverage.png", dpi=120)
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / "coverage.png", dpi=80)
 
 
 def main() -> None:
@@ -129,7 +132,8 @@ def main() -> None:
         "--arrangements", type=int, default=None, help="draws of each arrangement (default: --trials)"
     )
     parser.add_argument("--processes", type=int, default=None, help="default: one a core")
-    parser.add_argument("--out", type=Path, help="folder for coverage.csv and coverage.png")
+    parser.add_argument("--out", type=Path, help="folder for coverage.csv (default: it is not written)")
+    parser.add_argument("--plots", type=Path, help="folder for the figure (default: none is drawn)")
     options = parser.parse_args()
     names = [name for name in options.scenarios.split(",") if name]
     jobs = list(product(names, TILTS_DEG, range(options.trials)))
@@ -137,9 +141,9 @@ def main() -> None:
         draws = list(pool.map(run, jobs, chunksize=8))
         report(draws, [field for field in options.by.split(",") if field])
         if options.out:
-            options.out.mkdir(parents=True, exist_ok=True)
             save(draws, options.out)
-            plot(draws, options.out)
+        if options.plots:
+            plot(draws, options.plots)
         count = options.trials if options.arrangements is None else options.arrangements
         if count:
             degeneracies(count, pool)

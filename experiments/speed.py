@@ -1,12 +1,13 @@
 """Time calibrate() side by side with others on the same corners, and print a markdown table.
 
-    python experiments/speed.py [--rounds 20]
+    python experiments/speed.py [--rounds 20] [--plots DIR]
 
 Each round calls everybody once, in turn, on the same views of 54 points; the ratio is that of a round, and
 its median is printed. cv2.calibrateCamera runs with default flags. scipy.optimize.least_squares minimises the
 same residuals from the answer of calibrate() with the focal length moved by 2 %: one minimisation, without
 homographies, starts, error bars or verdict. mrcal takes part where it is installed. Then the time that an
 import takes on top of numpy and OpenCV. For the paper's trials a second see zhu2020.py.
+`--plots` draws the times over the number of views, which needs matplotlib.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 # The matrices are small; threads would only compete.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -109,16 +111,37 @@ def timed(call: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def race(count: int, rounds: int) -> str:
-    """One row of the table: medians of times, and of the ratios of calibrate() to the others."""
+def race(count: int, rounds: int) -> Array:
+    """Seconds of calibrate() and of the others (rounds, 1 + others)."""
     views = scene(count)
     calls = [lambda: fewcal.calibrate(views, SIZE), *(run(views) for run in OTHERS.values())]
     for call in calls:
         call()
-    seconds = np.array([[timed(call) for call in calls] for _ in range(rounds)])
+    return np.array([[timed(call) for call in calls] for _ in range(rounds)])
+
+
+def row(count: int, seconds: Array) -> str:
+    """One row of the table: medians of times, and of the ratios of calibrate() to the others."""
     cells = [f"{count}", f"{1e3 * np.median(seconds[:, 0]):.2f}"]
     cells += [f"{1e3 * np.median(t):.2f} ({np.median(seconds[:, 0] / t):.2f})" for t in seconds[:, 1:].T]
     return "| " + " | ".join(cells) + " |"
+
+
+def plot(seconds: Sequence[Array], folder: Path) -> None:
+    """Write speed.png: median times over the number of views."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+    for name, times in zip(("calibrate()", *OTHERS), np.median(seconds, axis=1).T, strict=True):
+        axis.plot(COUNTS, 1e3 * times, "o-", label=name, lw=2.5 if name == "calibrate()" else 1.2)
+    axis.set(xlabel="views of 54 points", ylabel="ms", xlim=(0, None), ylim=(0, None))
+    axis.grid(alpha=0.3)
+    axis.legend()
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / "speed.png", dpi=80)
 
 
 def import_seconds(code: str) -> float:
@@ -132,12 +155,17 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--rounds", type=int, default=20, help="rounds of calls (default 20)")
+    parser.add_argument("--plots", type=Path, help="folder for the figure (default: none is drawn)")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     print("Milliseconds, and in brackets the median ratio of calibrate() to it:\n")
     print("| views | calibrate() | " + " | ".join(OTHERS) + " |\n|---|---" + "|---" * len(OTHERS) + "|")
+    seconds = []
     for count in COUNTS:
-        print(race(count, options.rounds), flush=True)
+        seconds.append(race(count, options.rounds))
+        print(row(count, seconds[-1]), flush=True)
+    if options.plots:
+        plot(seconds, options.plots)
     basis = import_seconds("import numpy, cv2")
     print(
         f"\nimport fewcal, on top of numpy and OpenCV: {import_seconds('import cv2, fewcal') - basis:.2f} s"

@@ -153,7 +153,7 @@ def test_a_small_run_prints_what_it_saves(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     command = [sys.executable, str(COVERAGE), "--trials", "2", "--scenarios", "iid", "--processes", "1"]
     done = subprocess.run(
-        [*command, "--arrangements", "1", "--by", "views", "--out", str(tmp_path)],
+        [*command, "--arrangements", "1", "--by", "views", "--out", str(tmp_path), "--plots", str(tmp_path)],
         capture_output=True, encoding="utf-8", timeout=300, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

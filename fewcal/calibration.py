@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .adjustment import Estimate, Rows
-from .camera import Camera
-from .constraints import PRIOR_ROWS, Priors
-from .copies import copies
-from .departures import COUNT
-from .errors import InvalidInput
+from .adjustment import Estimate
+from .camera import Camera, project
+from .checks import real_array, require_kind
+from .constraints import FOCAL, PRIOR_ROWS, Priors
+from .copies import copies, share_weight
+from .departures import COUNT, lens_remainder
+from .errors import DegenerateViews, InvalidInput
 from .least_squares import Stop
 from .map_estimator import estimate_map
 from .noise import Noise
@@ -24,7 +26,7 @@ from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
 from .posterior import NAMES, determined_share, gaussian_covariance, posterior, projection_std
 from .prior_rows import PriorRows
 from .verdict import Evidence, Thresholds, Verdict, extent, judge, outside, tilt_deg
-from .views import View, stack_views
+from .views import View, ViewStack, stack_views
 from .zhu2020 import estimate_zhang, estimate_zhu2020
 
 Array = NDArray[np.float64]
@@ -49,7 +51,7 @@ class Calibration:
     board_poses : tuple of (4, 4)
         T_camera_board of each view, metres.
     view_rms : (V,)
-        Root mean square distance of projected and observed points of each view, pixels.
+        Root mean square distance of observed points and those that `camera` projects, of each view, pixels.
     rms : float
         The same over all points, pixels.
     pixel_distortion : (4,)
@@ -63,13 +65,13 @@ class Calibration:
         For each of the unknowns (focal length, aspect ratio, ...) the share of its prior variance that the
         data removed, 0 to 1. Only for map.
     prior_conflicts : dict
-        Residual, in standard deviations, of each prior that the estimate contradicts.
+        Residual, in standard deviations, of each prior that the estimate contradicts, those of board and lens
+        among them.
     sigma_px : float
         Standard deviation of a point that the error bars rest on, pixels.
     departures : (4,)
         Bend of the board along x and along y, remainder of the lens, and stretch of the print, as
-        :class:`Priors` counts them. The camera is the best one beside them; `view_rms` and `rms` are of the
-        camera alone. Zero but for map.
+        :class:`Priors` counts them. The camera is the best one beside them. Zero but for map.
     verdict : Verdict
     """
 
@@ -116,7 +118,8 @@ class Calibration:
 
         Returns
         -------
-        (N,) pixels, in the worst direction in the image; NaN beyond the fold of the distortion model.
+        (N,) pixels, in the worst direction in the image, with what the lens was found to do beyond the model
+        of `camera` (`departures`); NaN beyond the fold of the distortion model.
 
         Raises
         ------
@@ -125,10 +128,13 @@ class Calibration:
         """
         if self.covariance is None:
             raise InvalidInput('The method "zhang" reports no uncertainty; use "map".')
-        uv = np.asarray(pixels, dtype=np.float64)
+        uv = real_array(pixels, "pixels")
         if uv.ndim != 2 or uv.shape[1] != 2:
             raise InvalidInput(f"pixels must have shape (N, 2), not {uv.shape}.")
-        return projection_std(self.camera, self.covariance, uv)
+        centre = self.camera.intrinsics[2:]
+        beyond = self.departures[2] * np.hypot(*lens_remainder(uv.T[None], self.image_size, centre)[0])
+        of_camera = projection_std(self.camera, self.covariance, uv)
+        return np.asarray(np.hypot(of_camera, beyond), dtype=np.float64)
 
 
 def calibrate(
@@ -167,30 +173,28 @@ def calibrate(
     """
     size = _checked_size(image_size)
     views = _checked_views(views)
-    for name, value, kind in (("priors", priors, Priors), ("thresholds", thresholds, Thresholds)):
-        if not isinstance(value, kind):
-            raise InvalidInput(f"{name} must be fewcal.{kind.__name__}, not {value!r}.")
+    check_options(method, priors, thresholds)
     stack, alike = stack_views(views), copies(views, size)
-    if method == "map":
-        found = estimate_map(stack, size, priors, alike)
-    elif method == "zhu2020":
-        found = estimate_zhu2020(stack, size)
-    elif method == "zhang":
-        found = estimate_zhang(stack)
-    else:
-        raise InvalidInput(f"There is no method {method!r}; choose one of {', '.join(METHODS)}.")
-    model = found.adjustment.model
-    rows = found.adjustment.rows(found.geometry, found.sigma)
-    if isinstance(model, ScaleFree):
-        solution = _map_solution(found, rows, model)
-    else:
-        solution = _pixel_solution(found, rows, model, size, priors)
-    return _result(found, rows, solution, views, alike, size, method, thresholds)
+    try:
+        if method == "map":
+            found = estimate_map(stack, size, priors, alike)
+            solution = _map_solution(found)
+            if priors.focal_px is not None and max(solution.prior_conflicts.values()) > thresholds.conflict:
+                named = _conflict_of_focal(stack, size, priors, priors.focal_px, alike)
+                solution.prior_conflicts[FOCAL] = max(named, solution.prior_conflicts[FOCAL])
+        else:
+            found = estimate_zhu2020(stack, size) if method == "zhu2020" else estimate_zhang(stack)
+            solution = _pixel_solution(found, size, priors, alike)
+    except np.linalg.LinAlgError:
+        raise DegenerateViews(
+            "The points of a view lie so close together that rounding hides how; check their unit, pixels."
+        ) from None
+    return _result(found, solution, views, alike, size, method, thresholds)
 
 
 @dataclass(frozen=True)
 class _Solution:
-    """What an estimator found, in the terms of every method."""
+    """What an estimator found, in the terms of every method; `settled` is what the data determined of all."""
 
     camera: Camera
     pixel_distortion: Array
@@ -198,11 +202,14 @@ class _Solution:
     sigma_px: float
     departures: Array
     covariance: Array | None
-    determined: dict[str, float] | None
+    settled: dict[str, float] | None
     prior_conflicts: dict[str, float]
 
 
-def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
+def _map_solution(found: Estimate) -> _Solution:
+    model, known = found.adjustment.model, found.adjustment.constraint
+    assert isinstance(model, ScaleFree)
+    assert isinstance(known, PriorRows)
     theta = found.geometry.theta[0, : model.size]
     natural = model.natural(theta)
     if model.in_pixels:
@@ -212,10 +219,11 @@ def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
         fx, fy, cx, cy = natural[:4].tolist()
         camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
         coefficients = from_plumb_bob(camera)
-    known = found.adjustment.constraint
-    assert isinstance(known, PriorRows)
+    rows = found.adjustment.rows(found.geometry, found.sigma)
     result = posterior(rows, known.tails(found.geometry.theta[0]))
-    distance = known.distance(found.geometry.theta[0])
+    conflicts = known.distance(found.geometry.theta[0])
+    own = slice(model.size)
+    conflicts[own] = np.maximum(conflicts[own], np.abs(result.against_prior[own]))
     return _Solution(
         camera,
         coefficients,
@@ -223,22 +231,39 @@ def _map_solution(found: Estimate, rows: Rows, model: ScaleFree) -> _Solution:
         found.sigma,
         found.geometry.theta[0, model.size :],
         model.natural_spread(theta, result.covariance[:8, :8]),
-        {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)[:8]).items()},
-        _worst_by_name(np.maximum(distance, np.abs(result.against_prior))[: model.size]),
+        {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)).items()},
+        _worst_by_name(conflicts),
     )
 
 
-def _pixel_solution(
-    found: Estimate, rows: Rows, model: PixelModel, size: tuple[int, int], priors: Priors
-) -> _Solution:
-    theta = found.geometry.theta[0]
+def _conflict_of_focal(
+    stack: ViewStack, size: tuple[int, int], priors: Priors, stated: tuple[float, float], alike: Array
+) -> float:
+    """How far a stated focal length is from what the views say without it, in standard deviations of both.
+
+    What is stated surely can make everything else give way, at a camera where the views seem to agree.
+    """
+    free = _map_solution(estimate_map(stack, size, replace(priors, focal_px=None), alike))
+    assert free.covariance is not None
+    mean, sd = stated
+    return abs(math.log(free.camera.fx / mean)) / math.hypot(
+        sd / mean, _focal_std(free.covariance, free.camera)
+    )
+
+
+def _pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alike: Array) -> _Solution:
+    model, theta = found.adjustment.model, found.geometry.theta[0]
+    assert isinstance(model, PixelModel)
+    # The paper weighs all views alike, also as n of eq 29; but copies tell nothing new.
+    shared = replace(found.adjustment, views=share_weight(found.adjustment.views, alike))
+    rows = shared.rows(found.geometry, found.sigma)
     coefficients = model.coefficients(theta)
     squares = (rows.r**2).sum(keepdims=True)[0] * found.sigma**2
-    sigma = float(np.sqrt(Noise.of(found.adjustment.views, priors).variance(squares)[0]))
+    sigma = float(np.sqrt(Noise.of(shared.views, priors).variance(squares)[0]))
     covariance: Array | None = None
     if model.tangential:
-        constraint = found.adjustment.constraint(found.geometry.theta)[1][0]
-        of_theta = gaussian_covariance(rows, constraint) * (sigma / found.sigma) ** 2
+        penalty = found.adjustment.constraint(found.geometry.theta)[1][0] * np.sqrt((1 / alike).mean())
+        of_theta = gaussian_covariance(rows, penalty) * (sigma / found.sigma) ** 2
         covariance = _propagated(of_theta, plumb_bob_jacobian(theta))
     camera = nearest_plumb_bob(theta[:5], coefficients, size)
     return _Solution(camera, coefficients, float(theta[4]), sigma, np.zeros(COUNT), covariance, None, {})
@@ -262,7 +287,6 @@ def _worst_by_name(values: Array) -> dict[str, float]:
 
 def _result(
     found: Estimate,
-    rows: Rows,
     solution: _Solution,
     views: tuple[View, ...],
     alike: Array,
@@ -273,7 +297,7 @@ def _result(
     stack = found.adjustment.views
     poses = found.board_poses()
     counts = (stack.weights > 0).sum(axis=1)
-    squares = _squared_errors(rows, found.sigma, stack.weights, solution.departures)
+    squares = _squared_errors(found, solution.camera)
     covariance = solution.covariance
     evidence = Evidence(
         rotations=poses[:, :3, :3],
@@ -287,7 +311,7 @@ def _result(
         conflicts={
             name: residual
             for name, residual in solution.prior_conflicts.items()
-            if (solution.determined or {}).get(name, 0.0) < thresholds.settled_share
+            if (solution.settled or {}).get(name, 0.0) < thresholds.settled_share
         },
         converged=found.stop != Stop.ITERATIONS,
     )
@@ -304,7 +328,7 @@ def _result(
         sigma_px=solution.sigma_px,
         departures=solution.departures,
         covariance=covariance,
-        determined=solution.determined,
+        determined=solution.settled and {name: solution.settled[name] for name in PRIOR_ROWS[:-COUNT]},
         prior_conflicts={n: r for n, r in solution.prior_conflicts.items() if r > thresholds.conflict},
         verdict=judge(evidence, thresholds),
     )
@@ -314,15 +338,27 @@ def _focal_std(covariance: Array, camera: Camera) -> float:
     return float(np.sqrt(covariance[0, 0])) / camera.fx
 
 
-def _squared_errors(rows: Rows, sigma: float, weights: Array, departures: Array) -> Array:
-    """Sum of squared distances between what the camera alone projects and what was observed, (V,), px^2.
-
-    To first order in the departures, which are small.
-    """
-    pixels = sigma / np.where(weights > 0, weights, np.inf)
-    residuals = rows.r - rows.by_camera[..., rows.by_camera.shape[-1] - len(departures) :] @ departures
-    squares: Array = ((residuals.reshape(len(weights), 2, -1) * pixels[:, None]) ** 2).sum(axis=(1, 2))
+def _squared_errors(found: Estimate, camera: Camera) -> Array:
+    """Sum of squared distances between what a camera projects and what was observed, (V,), px^2."""
+    views, (_, rotation, position) = found.adjustment.views, found.geometry
+    points = rotation[0, :, :, :2] @ views.points + position[0, :, :, None]
+    projected = project(np.swapaxes(points, 1, 2), camera.intrinsics, camera.distortion)
+    off = np.where(views.weights[..., None] > 0, projected - np.swapaxes(views.pixels, 1, 2), 0)
+    squares: Array = (off * off).sum(axis=(1, 2))
     return squares
+
+
+def check_options(method: str, priors: Priors, thresholds: Thresholds) -> None:
+    """Refuse what :func:`calibrate` cannot work with.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    require_kind("priors", priors, Priors)
+    require_kind("thresholds", thresholds, Thresholds)
+    if not isinstance(method, str) or method not in METHODS:
+        raise InvalidInput(f"There is no method {method!r}; choose one of {', '.join(METHODS)}.")
 
 
 def _checked_views(views: Sequence[View]) -> tuple[View, ...]:

@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .checks import real_array
 from .distortion import columns, distort, distort_jacobians, fold_radius, undistort
 from .errors import InvalidInput, ModelFoldsOver
 
@@ -143,8 +144,8 @@ class Camera:
     model = "plumb_bob"
 
     def __post_init__(self) -> None:
-        distortion = np.array(self.distortion, dtype=np.float64)
-        numbers = np.array([self.fx, self.fy, self.cx, self.cy], dtype=np.float64)
+        distortion = real_array(self.distortion, "distortion")
+        numbers = real_array([self.fx, self.fy, self.cx, self.cy], "fx, fy, cx and cy")
         if distortion.shape != (5,):
             raise InvalidInput("plumb_bob distortion has five coefficients: k1, k2, p1, p2, k3.")
         if not (np.isfinite(numbers).all() and np.isfinite(distortion).all() and (numbers[:2] > 0).all()):
@@ -178,14 +179,15 @@ class Camera:
         -------
         (..., 2) pixels; NaN for points that are not in front of the camera.
         """
-        X = _floats(points, 3)
+        X = _floats(points, 3, "points")
         if T_camera_board is not None:
-            T = np.asarray(T_camera_board, dtype=np.float64)
+            T = real_array(T_camera_board, "T_camera_board")
             if T.shape != (4, 4):
                 raise InvalidInput(f"T_camera_board must have shape (4, 4), not {T.shape}.")
             X = X @ T[:3, :3].T + T[:3, 3]
-        flat = X.reshape(-1, 3)
-        return project(flat, self.intrinsics, self.distortion).reshape(*X.shape[:-1], 2)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            uv = project(X.reshape(-1, 3), self.intrinsics, self.distortion)
+        return uv.reshape(*X.shape[:-1], 2)
 
     def unproject(self, pixels: ArrayLike, *, folded: str = "raise") -> Array:
         """Directions that pixels see: the inverse of :meth:`project`.
@@ -206,7 +208,11 @@ class Camera:
         ModelFoldsOver
             When a pixel has no ray and `folded` is "raise".
         """
-        uv = _floats(pixels, 2)
+        if folded not in ("raise", "nan"):
+            raise InvalidInput(f'folded must be "raise" or "nan", not {folded!r}.')
+        uv = _floats(pixels, 2, "pixels")
+        if folded == "raise" and not np.isfinite(uv).all():
+            raise InvalidInput("pixels holds a value that is not finite; leave such pixels out.")
         flat = (uv.reshape(-1, 2) - self.intrinsics[2:]) / self.intrinsics[:2]
         xy = undistort(flat, self.distortion)
         if folded == "raise" and np.isnan(xy).any():
@@ -249,8 +255,8 @@ def _as_plumb_bob_order(distortion: Array) -> Array:
     return np.concatenate([distortion[..., [0, 1, 3, 2]], np.zeros_like(distortion[..., :1])], axis=-1)
 
 
-def _floats(values: ArrayLike, width: int) -> Array:
-    array = np.asarray(values, dtype=np.float64)
+def _floats(values: ArrayLike, width: int, name: str) -> Array:
+    array = real_array(values, name)
     if array.ndim == 0 or array.shape[-1] != width:
-        raise InvalidInput(f"Expected an array of shape (..., {width}), not {array.shape}.")
+        raise InvalidInput(f"{name} must have shape (..., {width}), not {array.shape}.")
     return array

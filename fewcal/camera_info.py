@@ -31,7 +31,7 @@ _NAME = re.compile(r"[A-Za-z0-9_]+")
 _NAME_IN_FILE = re.compile(r"[A-Za-z0-9_]+(/[A-Za-z0-9_]+)*")
 """cameracalibrator writes the cameras of a stereo pair as narrow_stereo/left and narrow_stereo/right."""
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
-_COUNT = re.compile(r"[0-9]{1,9}")
+_COUNT = re.compile(r"[0-9]{1,10}")
 
 _Entries = dict[str, yaml.Node]
 
@@ -129,6 +129,8 @@ def write_camera_info(
         When the name is not allowed or the file cannot be written.
     """
     check_camera_name(camera_name)
+    if not isinstance(getattr(calibration, "camera", None), Camera):
+        raise InvalidInput(f"calibration must be a fewcal.Calibration, not {calibration!r}.")
     info = CameraInfo(calibration.camera, calibration.image_size, camera_name)
     write_atomically(path, camera_info_text(info))
 
@@ -146,7 +148,7 @@ def read_camera_info(path: str | os.PathLike[str]) -> CameraInfo:
     InvalidInput
         When the file cannot be read or is no camera_info of a plumb_bob camera; names the file and the key.
     """
-    name = os.fspath(path)
+    name = os.fspath(path) or "''"
     try:
         return parse_camera_info(_read_text(Path(path)))
     except InvalidInput as error:

@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from numbers import Real
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from .errors import InvalidInput
 
 LARGEST = 1e50
 """What is beyond, or closer to zero than its inverse, has products that a double cannot hold."""
+
+
+def real_array(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Copy what a caller gives as an array into one of doubles.
+
+    Raises
+    ------
+    InvalidInput
+        When it holds what is no real number, or rows of different length; masked points are no numbers.
+    """
+    try:
+        if np.iscomplexobj(values) or np.ma.is_masked(values):
+            raise TypeError
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidInput(f"{name} must be an array of numbers, none of them complex or masked.") from None
 
 
 def is_number(value: object) -> bool:
@@ -49,9 +66,21 @@ def require_pair(name: str, pair: object, positive: bool = False) -> None:
     ------
     InvalidInput
     """
-    if not isinstance(pair, Iterable) or len(numbers := tuple(pair)) != 2:
+    if not isinstance(pair, (Sequence, np.ndarray)) or len(pair) != 2:
         raise InvalidInput(f"{name} must be two numbers, not {pair!r}.")
+    numbers = list(pair)
     require_numbers(name, () if positive else numbers, numbers if positive else ())
+
+
+def require_kind(name: str, value: object, kind: type) -> None:
+    """Refuse what is not of a class of this package, or has not what one of its protocols asks.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if not isinstance(value, kind):
+        raise InvalidInput(f"{name} must be fewcal.{kind.__name__}, not {value!r}.")
 
 
 def _listed(values: Sequence[object]) -> str:

@@ -173,8 +173,9 @@ _SINGLE = (
 )
 """Fields of :class:`Priors` that are distributions of one number."""
 
+FOCAL = "focal length"
 PRIOR_ROWS = (
-    "focal length",
+    FOCAL,
     "aspect ratio",
     "principal point x",
     "principal point y",
@@ -182,8 +183,12 @@ PRIOR_ROWS = (
     "radial distortion",
     "tangential distortion",
     "tangential distortion",
+    "bend of the board",
+    "bend of the board",
+    "remainder of the lens",
+    "stretch of the print",
 )
-"""What each row of :meth:`Priors.rows` speaks of."""
+"""What each unknown of :meth:`Priors.rows` is, camera first."""
 
 
 def exponential_penalty(fx: Array, fy: Array, views: int) -> tuple[Array, Array]:

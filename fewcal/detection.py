@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import BoardNotFound
+from .errors import BoardNotFound, InvalidInput
 from .views import View
 
 if TYPE_CHECKING:
@@ -94,6 +94,8 @@ def detect_board(
     image: NDArray[Any], board: Board, source: str = "", stamp_ns: int | None = None
 ) -> Detection:
     """Find a board as :func:`detect` does, and measure how sharply the image shows it."""
+    if not hasattr(board, "detect"):
+        raise InvalidInput(f"board must be a fewcal board, such as fewcal.parse_board gives, not {board!r}.")
     return board.detect(image, source, stamp_ns)
 
 

@@ -34,6 +34,8 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None
     """
     data = content.encode() if isinstance(content, str) else content
     try:
+        if not os.fspath(path):
+            raise ValueError
         target = Path(os.path.realpath(path))
         mode = _mode_of(target)
         temporary = target.with_name(f".fewcal-{secrets.token_hex(8)}.tmp")

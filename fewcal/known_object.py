@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from .detection import Detection
 from .drawing import Drawing
 from .errors import InvalidInput
+from .homography import COLLINEAR
 from .views import View
 
 Array = NDArray[np.float64]
@@ -46,7 +47,7 @@ class KnownObject:
     Raises
     ------
     InvalidInput
-        When there are fewer than 4 points or they lie in no plane.
+        When there are fewer than 4 points, two have the same name, or they lie in no plane or on one line.
     """
 
     form: ClassVar[str] = "points:FILE, a text file with a line 'name x y' for each point (metres)"
@@ -57,14 +58,21 @@ class KnownObject:
     coordinates: tuple[tuple[float, ...], ...]
 
     def __post_init__(self) -> None:
+        if len(set(self.names)) < len(self.names) or list(map(len, self.coordinates)) != [3] * len(
+            self.names
+        ):
+            raise InvalidInput(f"{self.file}: every point needs a name of its own, and x, y and z.")
         if len(self.names) < MIN_POINTS:
             raise InvalidInput(
                 f"{self.file} has {len(self.names)} points; at least {MIN_POINTS} determine where a plane is."
             )
         try:
-            View(self.points, self.points[:, :2])
+            points = View(self.points, np.zeros((len(self.names), 2))).object_points
         except InvalidInput as error:
             raise InvalidInput(f"{self.file}: {error}") from None
+        extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if not extents[1] > COLLINEAR * extents[0]:
+            raise InvalidInput(f"{self.file}: all points are on one line; give some beside it.")
 
     @classmethod
     def parse(cls, text: str) -> KnownObject:

@@ -191,7 +191,7 @@ def _unprejudiced(problem: Adjustment, starts: Geometry) -> Geometry:
     assert isinstance(priors, PriorRows)
     source, arrangement = _arrangements(starts, priors)
     wide = replace(problem, constraint=priors.widened(WIDE), noise=noise.repeat(len(source)))
-    found = minimise(wide, _departing(_arranged(starts, source)), _ROUND, lead=HOPELESS)
+    found = minimise(wide, _departing(_arranged(starts, source)), _COARSE, lead=HOPELESS)
     return _best_of_each(found, arrangement).state
 
 
@@ -335,8 +335,11 @@ def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     equations = NormalEquations(_of_views(equations.groups, source), equations.shared[source[:, 0]])
     allowed = np.flatnonzero(np.isfinite(equations.squares))
     if not len(allowed):
+        alone = np.flatnonzero(~np.isfinite(equations.groups[..., -1, -1]).any(axis=0))
+        which = f"view {alone[0] + 1} of {source.shape[1]}" if len(alone) else "these views"
         raise DegenerateViews(
-            "No camera has these views in front of it; check that object and image points belong together."
+            f"No camera has {which} in front of it; check that object and image points belong together, and "
+            "that more than one of the points is off the line through the others."
         )
     equations, arrangement, source = take(equations, allowed), arrangement[allowed], source[allowed]
     variance = problem.variance(equations.squares[:1]).repeat(len(allowed))

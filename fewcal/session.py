@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .boards import Board
-from .calibration import Calibration, calibrate
+from .calibration import Calibration, calibrate, check_options
+from .checks import require_kind
 from .constraints import Priors
 from .detection import Detection, detect_board
 from .errors import BoardNotFound, DegenerateViews, InvalidInput
@@ -236,8 +237,10 @@ class Session:
         thresholds: Thresholds = Thresholds(),
         criteria: Criteria = Criteria(),
     ) -> None:
-        if views_required < 1:
-            raise InvalidInput(f"At least one view is needed, not {views_required}.")
+        if not isinstance(views_required, (int, np.integer)) or views_required < 1:
+            raise InvalidInput(f"views_required must be a whole number, at least 1, not {views_required!r}.")
+        check_options(method, priors, thresholds)
+        require_kind("criteria", criteria, Criteria)
         self.frames = FrameFilter(board, criteria)
         self.views_required = views_required
         self.method = method

@@ -115,6 +115,7 @@ def middle(
     return Middle(inverse @ (e - y), inverse @ covariance @ inverse.T, length, expected, v)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def contradictions(J: Array, r: Array, tails: Tails, covariance: Array) -> Array:
     """How far each normal prior is from what all others say, in standard deviations of the two together.
 

@@ -199,16 +199,16 @@ def _doubts(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
     if evidence.focal_std is None:
         yield 'The method "zhang" has no error bars, so nothing says how well the camera is known; use "map".'
     elif evidence.focal_std > thresholds.focal_std:
-        known = f"known to {100 * evidence.focal_std:.2g} % only"
+        asked = f"{100 * thresholds.focal_std:.2g}"
+        known = f"known to {_beyond(100 * evidence.focal_std, asked)} % only"
         yield (
-            f"The focal length is {known if np.isfinite(evidence.focal_std) else 'not determined'}, "
-            f"{100 * thresholds.focal_std:.2g} % is asked; add a view with the board tilted by 30 to 60 deg "
-            "about another axis."
+            f"The focal length is {known if evidence.focal_std < 1 else 'not determined'}, {asked} % is "
+            "asked; add a view with the board tilted by 30 to 60 deg about another axis."
         )
     if evidence.sigma_px > thresholds.sigma_px:
         yield (
-            f"The points miss the camera by {evidence.sigma_px:.1f} px (one sigma), more than any board or "
-            "lens explains; check that points and board belong together, the board is flat, the lens no "
+            f"The points miss the camera by {_beyond(evidence.sigma_px)} px (one sigma), more than any board "
+            "or lens explains; check that points and board belong together, the board is flat, the lens no "
             "fisheye and every prior true."
         )
     if evidence.outside_px > OUTSIDE_PX:
@@ -221,8 +221,8 @@ def _doubts(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
         if residual > thresholds.conflict:
             yield (
                 f"The {name} contradicts what was known beforehand by {residual:.1f} standard deviations; "
-                "check that the board is flat, its squares square and the image not cropped, add views, or "
-                "state other priors."
+                "check that the board is flat, its squares square, the lens no fisheye and the image not "
+                "cropped, add views, or state other priors."
             )
     if folds_inside(evidence.camera, evidence.image_size):
         radius = evidence.camera.fold_radius_px
@@ -250,6 +250,12 @@ def _parallel(rotations: Array, thresholds: Thresholds) -> Iterator[str]:
         f"{name if turned else 'Parallel planes: the boards are parallel'} within {_up(angles.max())} deg, "
         f"so the {len(rotations)} views count as one; tilt the board by 30 deg about another axis."
     )
+
+
+def _beyond(value: float, limit: str = "") -> str:
+    """Two digits of a number, or as many as tell it from the limit that it is beyond."""
+    digits = next(n for n in range(2, 18) if n == 17 or f"{value:.{n}g}" != limit)
+    return f"{value:.{digits}g}"
 
 
 def _up(angle: float) -> str:

@@ -9,12 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import LARGEST
+from .checks import real_array
 from .errors import InvalidInput
 
 PLANARITY_TOLERANCE = 1e-6
 """Largest distance of a point from the board's plane, as a share of the board's extent: numbers that
 were meant to be planar miss by rounding alone."""
+
+LARGEST = 1e15
+"""Largest coordinate of a point, metres or pixels; what is beyond has products that a double cannot hold."""
 
 UNEXPLAINED_PX = 0.1
 """What board and lens model leave unexplained at a perfectly located corner, pixels: the best residuals of
@@ -29,6 +32,8 @@ class View:
     ----------
     object_points : array_like, (N, 3) or (N, 2)
         Points in the board frame, metres. They must lie in one plane; z = 0 is assumed when it is left out.
+        A board may be bent along x and along y and its print stretched, so that these run best along its
+        sides; in a plane other than z = const the principal axes of the points are taken for them.
     image_points : array_like, (N, 2)
         The same points in the image, pixels, the centre of the first pixel at (0, 0).
     sigma : array_like, scalar or (N,), optional
@@ -185,10 +190,7 @@ def stack_views(views: Sequence[View]) -> ViewStack:
 
 
 def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidInput(f"{name} must be an array of numbers.") from None
+    array = real_array(values, name)
     if not np.all(np.isfinite(array)):
         raise InvalidInput(f"{name} holds a value that is not finite; leave such points out.")
     if array.size and np.abs(array).max() > LARGEST:

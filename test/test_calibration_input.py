@@ -73,6 +73,8 @@ SPREAD = np.random.default_rng(1).uniform(-12, 12, 54)
 HOSTILE = {
     "far outside": [View(v.object_points, v.image_points + 1e6) for v in PLAIN],
     "huge": [View(v.object_points, v.image_points * 1e9) for v in PLAIN],
+    "less than a speck": [View(v.object_points, 500 + v.image_points * 1e-14) for v in PLAIN],
+    "one place": [View(v.object_points, v.image_points * 1e-12) for v in PLAIN],
     "a speck": [View(v.object_points, 500 + v.image_points * 1e-6) for v in PLAIN],
     "mixed up": [View(v.object_points, v.image_points[np.argsort(SPREAD)]) for v in PLAIN],
     "sigmas of all sizes": [View(v.object_points, v.image_points, 10.0**SPREAD) for v in PLAIN],
@@ -131,6 +133,15 @@ def test_points_outside_the_image_are_named() -> None:
 def test_views_without_a_plane(method: str, bad: View, message: str) -> None:
     with pytest.raises(DegenerateViews, match=message):
         calibrate([ONE[0], bad], SIZE, method=method)
+
+
+def test_a_view_that_fits_no_camera_is_named() -> None:
+    # Three of its four points are on one line, so that no homography is right.
+    line = [0, 4, 8, 22]
+    (bad,) = noisy([View(BOARD.points[line], ONE[0].image_points[line])], 0.3, 2)
+    says = "No camera has view 2 of 3 in front of it; .* off the line through the others"
+    with pytest.raises(DegenerateViews, match=says):
+        calibrate([PLAIN[0], bad, PLAIN[1]], SIZE)
 
 
 def test_points_that_do_not_belong_together() -> None:

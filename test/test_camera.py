@@ -263,3 +263,33 @@ def test_a_camera_cannot_be_changed_through_its_arrays() -> None:
         camera.distortion[0] = 1
     camera.matrix[0, 0] = 1
     assert camera.matrix[0, 0] == 800
+
+
+def test_what_is_no_array_of_numbers_is_named() -> None:
+    camera = Camera(600.0, 600.0, 320.0, 240.0)
+    for wrong in ("abc", [[1, 2, 3], [1]]):
+        with pytest.raises(InvalidInput, match="points must be an array of numbers"):
+            camera.project(wrong)  # type: ignore[arg-type]
+        with pytest.raises(InvalidInput, match="pixels must be an array of numbers"):
+            camera.unproject(wrong)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="T_camera_board must be an array of numbers"):
+        camera.project([1, 2, 3], "pose")  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="fx, fy, cx and cy must be an array of numbers"):
+        Camera("a", 1, 1, 1)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="distortion must be an array of numbers"):
+        Camera(1, 1, 1, 1, "abcde")  # type: ignore[arg-type]
+
+
+def test_pixels_that_are_not_finite_are_not_said_to_fold_over() -> None:
+    camera = Camera(600.0, 600.0, 320.0, 240.0)
+    with pytest.raises(InvalidInput, match="pixels holds a value that is not finite"):
+        camera.unproject([[1.0, 2.0], [np.nan, 0.0]])
+    assert np.isnan(camera.unproject([np.nan, 0.0], folded="nan")).any()
+    with pytest.raises(InvalidInput, match="folded must be"):
+        camera.unproject([1.0, 1.0], folded="maybe")
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_grazing_ray_is_no_reason_for_a_warning() -> None:
+    lens = Camera(1000.0, 1010.0, 640.0, 480.0, [-0.3, 0.1, 1e-3, -1e-3, 0.0])
+    assert lens.project([[1.0, 0.0, 1e-80], [np.inf, 0.0, 1.0]]).shape == (2, 2)

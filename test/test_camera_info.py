@@ -391,3 +391,16 @@ def test_any_edit_of_a_good_file_is_a_camera_info_or_a_named_error(
     except InvalidInput:
         return
     assert bits(parse_camera_info(camera_info_text(info))) == bits(info)
+
+
+def test_the_largest_image_reads_back(tmp_path: Path) -> None:
+    largest = CameraInfo(Camera(1e9, 1e9, 1e9, 1e9), (2**31 - 1, 2**31 - 1), "camera")
+    write_camera_info(tmp_path / "camera.yaml", largest)
+    assert read_camera_info(tmp_path / "camera.yaml").image_size == (2**31 - 1, 2**31 - 1)
+
+
+def test_what_is_no_calibration_is_not_written(tmp_path: Path) -> None:
+    for wrong in (None, Camera(1, 1, 0, 0)):
+        with pytest.raises(InvalidInput, match=r"calibration must be a fewcal\.Calibration"):
+            write_camera_info(tmp_path / "camera.yaml", wrong)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())

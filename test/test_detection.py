@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from board_pictures import BOARD, picture, pose
 
 from fewcal.detection import blurred, detect, detect_board, edge_width, is_blurred, outside
+from fewcal.errors import InvalidInput
 
 
 def test_detection_asks_the_board() -> None:
@@ -29,3 +31,10 @@ def test_points_too_close_to_the_border_are_outside() -> None:
     assert not outside((8, 10), points, 2.0)
     assert outside((8, 10), points, 2.5)
     assert outside((8, 10), np.array([[-0.1, 3.0]]), 0.0)
+
+
+def test_a_text_is_not_yet_a_board() -> None:
+    with pytest.raises(
+        InvalidInput, match=r"board must be a fewcal board, such as fewcal\.parse_board gives"
+    ):
+        detect(np.zeros((480, 640), np.uint8), "chessboard:9x6:0.025")  # type: ignore[arg-type]

@@ -147,3 +147,18 @@ def test_a_file_of_pixels_stands_for_its_image(tmp_path: Path) -> None:
 def test_there_is_nothing_to_print(plate: KnownObject) -> None:
     with pytest.raises(InvalidInput, match="nothing to print"):
         plate.draw()
+
+
+@pytest.mark.parametrize(
+    ("names", "points", "says"),
+    [
+        ("abca", ((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)), "needs a name of its own, and x, y and z"),
+        ("abcd", ((0, 0, 0), (1, 0, 0), (0, 1, 0)), "needs a name of its own, and x, y and z"),
+        ("abcd", ((0, 0), (1, 0), (0, 1), (1, 1)), "needs a name of its own, and x, y and z"),
+        ("abcd", ((0, 0, 0), (1, 1, 0), (2, 2, 0), (3, 3, 0)), "all points are on one line"),
+        ("abcd", ((1, 1, 0),) * 4, "all points are on one line"),
+    ],
+)
+def test_points_that_make_no_object(names: str, points: tuple[tuple[float, ...], ...], says: str) -> None:
+    with pytest.raises(InvalidInput, match=says):
+        KnownObject("plate.txt", tuple(names), points)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from board_frames import PERIOD_NS, Image, empty, flat, pair, shown
@@ -253,7 +255,7 @@ def test_the_same_frames_give_the_same_camera_bit_by_bit(complete_session: Sessi
 
 @pytest.mark.parametrize("count", [0, -1])
 def test_no_fewer_than_one_view(count: int) -> None:
-    with pytest.raises(InvalidInput, match="At least one view"):
+    with pytest.raises(InvalidInput, match="views_required must be a whole number, at least 1, not"):
         Session(BOARD, count)
 
 
@@ -310,3 +312,19 @@ def test_a_board_of_which_quite_another_part_is_seen_has_moved() -> None:
     frames = [marker_picture(CHARUCO, 130, 20, 40, shift_px=(x, 0.0))[0] for x in (420.0, -420.0)]
     decisions = [look.look(image, i * PERIOD_NS) for i, image in enumerate(frames)]
     assert [decision.reason for decision in decisions] == ["kept", "moving"]
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        ({"views_required": "two"}, "views_required must be a whole number, at least 1, not 'two'"),
+        ({"views_required": 1.5}, "views_required must be a whole number"),
+        ({"method": "opencv"}, "There is no method 'opencv'"),
+        ({"priors": None}, r"priors must be fewcal\.Priors, not None"),
+        ({"thresholds": None}, r"thresholds must be fewcal\.Thresholds, not None"),
+        ({"criteria": None}, r"criteria must be fewcal\.Criteria, not None"),
+    ],
+)
+def test_what_a_session_cannot_work_with_is_said_at_once(option: dict[str, Any], says: str) -> None:
+    with pytest.raises(InvalidInput, match=says):
+        Session(BOARD, **option)

@@ -82,6 +82,16 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
         "The focal length is known to 3.1 % only, 2 % is asked; add a view with the board tilted by 30 to 60 "
         "deg about another axis.",
     ),
+    "focal length, just missed": (
+        {"focal_std": 0.02008},
+        "The focal length is known to 2.01 % only, 2 % is asked; add a view with the board tilted by 30 to "
+        "60 deg about another axis.",
+    ),
+    "a focal length that may be anything": (
+        {"focal_std": 8.5},
+        "The focal length is not determined, 2 % is asked; add a view with the board tilted by 30 to 60 deg "
+        "about another axis.",
+    ),
     "no focal length": (
         {"focal_std": float("inf")},
         "The focal length is not determined, 2 % is asked; add a view with the board tilted by 30 to 60 deg "
@@ -90,7 +100,8 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
     "conflict": (
         {"conflicts": {"aspect ratio": 4.44, "focal length": 2.4}},
         "The aspect ratio contradicts what was known beforehand by 4.4 standard deviations; check that the "
-        "board is flat, its squares square and the image not cropped, add views, or state other priors.",
+        "board is flat, its squares square, the lens no fisheye and the image not cropped, add views, or "
+        "state other priors.",
     ),
     "fold": (
         {"camera": Camera(600.0, 600.0, 639.5, 479.5, [-0.4, 0, 0, 0, 0])},

@@ -18,6 +18,8 @@ Picture = NDArray[np.uint8]
 
 WIDTH_PX = 960
 """Width of the picture: that of a teach pendant's screen, and little to send thirty times a second."""
+HEIGHT_PX = 2 * WIDTH_PX
+"""Largest height of the image in it; a narrow one does not fill the width."""
 RESIDUAL_SCALE = 100.0
 """Residuals are tenths of a pixel and less; a hundred times as long they can be seen."""
 FONT_PX = 26
@@ -66,8 +68,8 @@ def annotate(
     (H', WIDTH_PX, 3) array of uint8, BGR
     """
     height, width = grey.shape
-    scale = WIDTH_PX / width
-    size = WIDTH_PX, max(1, round(height * scale))
+    scale = min(WIDTH_PX / width, HEIGHT_PX / height)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
     way = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     small = cv2.resize(_eight_bit(grey), size, interpolation=way)
     shown = np.asarray(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR), np.uint8)
@@ -75,7 +77,9 @@ def annotate(
         _draw_views(shown, calibration, scale)
     if found is not None:
         _draw_corners(shown, found, scale, GREEN if kept else AMBER)
-    return np.vstack([shown, _panel(lines, mood)])
+    framed = np.zeros((len(shown), WIDTH_PX, 3), np.uint8)
+    framed[:, : size[0]] = shown
+    return np.vstack([framed, _panel(lines, mood)])
 
 
 def _eight_bit(grey: GreyImage) -> Picture:

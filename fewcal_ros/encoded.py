@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TypeAlias
 
 import cv2
@@ -38,18 +38,33 @@ _JPEG_MARKER_BEHIND_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)
 """Inside a scan, 0xff is followed by zero or is a restart marker."""
 
 
-def _jpeg_is_whole(data: bytes) -> bool:
-    """Whether segment follows segment up to the end marker; damage inside a scan may go unnoticed."""
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""Markers of the segments that hold the size."""
+
+
+def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int]]:
+    """Marker and begin of segment after segment; damage inside a scan may go unnoticed."""
     position = 2
     while marker := _JPEG_MARKER.match(data, position):
-        kind, position = marker[1], marker.end()
-        if kind == b"\xd9":
-            return True
+        kind, position = marker[1][0], marker.end()
+        yield kind, position
         position += int.from_bytes(data[position : position + 2], "big")
-        if kind == b"\xda":
+        if kind == 0xDA:
             following = _JPEG_MARKER_BEHIND_SCAN.search(data, position)
             position = following.start() if following else len(data)
-    return False
+
+
+def _jpeg_is_whole(data: bytes) -> bool:
+    """Whether segment follows segment up to the end marker."""
+    return any(kind == 0xD9 for kind, _ in _jpeg_segments(data))
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    begin = next((begin for kind, begin in _jpeg_segments(data) if kind in _JPEG_FRAMES), len(data))
+    if begin + 7 > len(data):
+        return None
+    height, width = struct.unpack_from(">HH", data, begin + 3)
+    return width, height
 
 
 def _png_is_whole(data: bytes) -> bool:
@@ -117,6 +132,23 @@ _KINDS: tuple[tuple[re.Pattern[bytes], Callable[[bytes], bool]], ...] = (
 def looks_like_image(head: bytes) -> bool:
     """Whether a file that begins with these bytes (16 are enough) is an image of a known kind."""
     return any(start.match(head) for start, _ in _KINDS)
+
+
+def encoded_size(data: bytes) -> tuple[int, int] | None:
+    """(width, height) of an image file held in memory, pixels; None when it is no image.
+
+    That of a jpeg or png is read from its head, which takes no time; all others are decoded.
+    """
+    if data.startswith(b"\xff\xd8\xff"):
+        return _jpeg_size(data)
+    if data.startswith(_PNG_SIGNATURE) and len(data) >= 24:
+        width, height = struct.unpack_from(">II", data, 16)
+        return width, height
+    try:
+        rows, columns = decode_grey(data, "").shape
+    except InvalidInput:
+        return None
+    return columns, rows
 
 
 def decode_grey(data: bytes, what: str) -> GreyImage:

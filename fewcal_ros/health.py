@@ -32,12 +32,14 @@ def focal_text(calibration: Calibration | None) -> str:
 
 def judge_health(status: Status) -> tuple[Level, str]:
     """How well the node is, and one sentence about it."""
-    if status.last is not None and status.last.problem:
-        return Level.ERROR, status.last.problem
     if status.idle_s is None:
         return Level.WARN, f"No image has arrived yet. {status.silence}"
     if status.silence:
         return Level.WARN, f"No image has arrived for {status.idle_s:.0f} s. {status.silence}"
+    if status.last is not None and status.last.problem:
+        return Level.ERROR, status.last.problem
+    if status.failure:
+        return Level.ERROR, status.failure
     if other := _other_images(status):
         return Level.WARN, other
     if status.result is None:

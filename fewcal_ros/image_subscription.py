@@ -111,6 +111,8 @@ class ImageSubscription:
         if profile.reliability == ReliabilityPolicy.BEST_AVAILABLE:
             self._adapts = True
             profile.reliability = qos_profile_sensor_data.reliability
+        if profile.depth < 0:
+            return SetParametersResult(successful=False, reason="the depth is negative.")
         self._profile = profile
         return SetParametersResult(successful=True)
 

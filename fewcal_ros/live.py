@@ -43,9 +43,14 @@ class Refused(FewcalError):
     """A request that cannot be granted now; the message says why, and what to do."""
 
 
+def unexpected(error: Exception) -> str:
+    """Sentence about an error that nobody has foreseen."""
+    return f"{type(error).__name__}: {error}; please report this."
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A calibration, and the frame_id of the last image that gave a view."""
+    """A calibration, and the frame_id of the image that gave its last view."""
 
     calibration: Calibration
     frame_id: str
@@ -82,8 +87,9 @@ class Look:
 class Status:
     """Where the calibration stands.
 
-    `idle_s` is the time since the last image, None before the first; `silence` says why none may be arriving,
-    and is empty as long as they do.
+    `failure` says why there is no camera of the views, when that was tried. `last` is the last image that was
+    looked at. `idle_s` is the time since an image arrived, None before the first; `silence` says why none may
+    be arriving, and is empty as long as they do.
     """
 
     parameters: Parameters
@@ -91,6 +97,7 @@ class Status:
     estimate: Calibration | None
     result: Result | None
     complete: bool
+    failure: str
     read: int
     with_board: int
     rejected: Counter[str]
@@ -143,7 +150,8 @@ class LiveCalibration:
         self._stream = ImageStream()
         self._result: Result | None = None
         self._attempted: tuple[View, ...] = ()
-        self._frame_id = ""
+        self._frame_ids: dict[View, str] = {}
+        self._failure: tuple[tuple[View, ...], str] = (), ""
         self._request: tuple[int, Future[Decision]] | None = None
         self._last: Look | None = None
         self._last_took_s = 0.0
@@ -246,12 +254,6 @@ class LiveCalibration:
         if (before.method, before.thresholds) != (parameters.method, parameters.thresholds):
             self._result, self._attempted = None, ()
 
-    @property
-    def image_size(self) -> tuple[int, int] | None:
-        """(width, height) of the images, pixels; None before the first."""
-        kind = self._stream.kind
-        return None if kind is None else kind.size
-
     def status(self) -> Status:
         """Where the calibration stands."""
         session, arrival = self._session, self._last_arrival
@@ -261,7 +263,8 @@ class LiveCalibration:
             views=session.views,
             estimate=session.estimate,
             result=self._result,
-            complete=session.complete,
+            complete=self._satisfied(session),
+            failure=self._failure[1] if session.views and self._failure[0] == session.views else "",
             read=session.frames.read,
             with_board=session.frames.with_board,
             rejected=session.frames.rejected.copy(),
@@ -294,8 +297,10 @@ class LiveCalibration:
                 look = self._look_at(letter)
             except Exception as error:  # whatever is wrong with one image, the next may be better
                 traceback.print_exc()
-                look = Look(letter.message, problem=f"{type(error).__name__}: {error}; please report this.")
-            self._last, self._last_took_s = look, time.monotonic() - start
+                look = Look(letter.message, problem=unexpected(error))
+            if look.decision is not None or look.problem or self._last is None:
+                # What the camera saw last stays known while images pass by that nobody needs.
+                self._last, self._last_took_s = look, time.monotonic() - start
             if not self._mailbox.closed:
                 self._report(look)
 
@@ -312,7 +317,8 @@ class LiveCalibration:
             decision, session = self._decide(frame, request is not None)
         except FewcalError as error:
             _answer(request, error)
-            return Look(letter.message, frame, problem=str(error), stream_change=change)
+            problem = "" if isinstance(error, Refused) else str(error)
+            return Look(letter.message, frame, problem=problem, stream_change=change)
         _answer(request, decision)
         result, problem = None, ""
         try:
@@ -334,7 +340,7 @@ class LiveCalibration:
         before = self._session
         session = copy.copy(before)
         arguments = frame.image, frame.stamp_ns, frame.source
-        by_itself = self._parameters.auto_capture and not session.complete
+        by_itself = self._parameters.auto_capture and not self._satisfied(session)
         if capture:
             decision = session.capture(*arguments)
         elif by_itself:
@@ -349,7 +355,8 @@ class LiveCalibration:
             return decision, before
         with self._lock:
             if self._session is before:
-                self._session, self._frame_id = session, frame.frame_id
+                self._session = session
+                self._frame_ids = {view: self._frame_ids.get(view, frame.frame_id) for view in session.views}
                 return decision, session
         if capture:
             raise Refused("The views were changed while this image was looked at; capture again.")
@@ -369,13 +376,28 @@ class LiveCalibration:
             if self._session is session:
                 self._attempted = views
 
+    def _satisfied(self, session: Session) -> bool:
+        """Whether no better view is waited for: those kept make a camera, by the method chosen too."""
+        if not session.complete or session.views != self._attempted:
+            return session.complete
+        result = self._result
+        if result is None or result.calibration.views != session.views:
+            return False
+        # A method without error bars never calls its camera usable; then the word of map stands.
+        return result.calibration.verdict.usable or result.calibration.covariance is None
+
     def _calibrate(self, session: Session) -> Result:
-        calibration = session.calibrate()
+        try:
+            calibration = session.calibrate()
+        except FewcalError as error:
+            self._failure = session.views, str(error)
+            raise
+        self._failure = (), ""
         with self._lock:
             now = self._session
             if (now.views, now.method, now.thresholds) != (session.views, session.method, session.thresholds):
                 raise Refused("The views were changed during the calibration; calibrate again.")
-            self._result = Result(calibration, self._frame_id)
+            self._result = Result(calibration, self._frame_ids[session.views[-1]])
             return self._result
 
     def _change(self, change: Callable[[Session], None]) -> Session:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fewcal.errors import InvalidInput
 
-from .encoded import GreyImage, decode_grey
+from .encoded import GreyImage, decode_grey, encoded_size
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ def _samples(msg: Any, layout: _Layout) -> NDArray[Any]:
     needed = step * (height - 1) + row_bytes
     if data.nbytes < needed:
         raise InvalidInput(
-            f"{what} needs {needed} bytes at a step of {step} but has {data.nbytes}; record it again."
+            f"{what} needs {needed} bytes at a step of {step} but has {data.nbytes}; it is damaged."
         )
     order = ">" if msg.is_bigendian else "<"
     values: NDArray[Any] = np.ndarray(
@@ -184,6 +184,16 @@ def compressed_to_grey(msg: Any) -> GreyImage:
         When the data is no such image, cut off or damaged.
     """
     return decode_grey(bytes(msg.data), f"The compressed image of format {msg.format!r}")
+
+
+def raw_size(msg: Any) -> tuple[int, int]:
+    """(width, height) of a sensor_msgs/Image, pixels."""
+    return int(msg.width), int(msg.height)
+
+
+def compressed_size(msg: Any) -> tuple[int, int] | None:
+    """(width, height) of a sensor_msgs/CompressedImage, pixels; None when it cannot be read."""
+    return encoded_size(bytes(msg.data))
 
 
 IMAGE_TYPES: dict[str, Callable[[Any], GreyImage]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import (
@@ -34,8 +36,8 @@ from .annotation import RESIDUAL_SCALE, Mood, annotate
 from .driver import Driver
 from .health import Level, focal_text, health_values, judge_health
 from .image_subscription import ImageSubscription
-from .live import LiveCalibration, Look, Refused, Result
-from .messages import Frame, compressed_to_grey, image_to_grey, stamp_ns
+from .live import LiveCalibration, Look, Refused, Result, unexpected
+from .messages import Frame, compressed_size, compressed_to_grey, image_to_grey, raw_size, stamp_ns
 from .outgoing import (
     camera_info_message,
     camera_info_of,
@@ -43,7 +45,7 @@ from .outgoing import (
     header_of,
     image_message,
 )
-from .parameters import declare_parameters
+from .parameters import declare_parameters, warn_of_unknown
 from .signals import until_signal
 from .spinning import ENDED, run
 
@@ -81,7 +83,10 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._released: CameraInfo | None = None
         self._problem = ""
         self._told_loss = False
-        self._decode = image_to_grey if self._settings.image_transport == "raw" else compressed_to_grey
+        raw = self._settings.image_transport == "raw"
+        self._decode, self._size_of = (
+            (image_to_grey, raw_size) if raw else (compressed_to_grey, compressed_size)
+        )
         self._camera_info = self.create_publisher(CameraInfo, "~/camera_info", LATCHED)
         self._annotated = self.create_publisher(Image, "~/image_annotated", RELIABLE)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -92,6 +97,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         )
         self._driver = Driver(self)
         self._images = self._subscribe()
+        warn_of_unknown(self)  # the subscription has declared its QoS overrides
         self._offer_services()
         self._live = LiveCalibration(
             self._settings,
@@ -149,6 +155,9 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
                 response.message, response.success = action(), True
             except FewcalError as error:
                 response.message, response.success = str(error), False
+            except Exception as error:  # it would end the node, and the views with it
+                traceback.print_exc()
+                response.message, response.success = unexpected(error), False
             self._publish_diagnostics()
             return response
 
@@ -158,12 +167,10 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
 
     def _take_image(self, message: Any) -> None:
         self._live.offer(message)
-        if self._per_image is not None and (info := self._released) is not None:
-            size = (message.width, message.height) if isinstance(message, Image) else self._live.image_size
-            if size == (info.width, info.height):
-                self._per_image.publish(
-                    self._with_header(info, message.header.stamp, message.header.frame_id)
-                )
+        info, header = self._released, message.header
+        if self._per_image is None or info is None or self._size_of(message) != (info.width, info.height):
+            return
+        self._per_image.publish(self._with_header(info, header.stamp, header.frame_id))
 
     def _read(self, message: Any) -> Frame:
         stamp = stamp_ns(message) or self.get_clock().now().nanoseconds
@@ -285,7 +292,10 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
     def _save(self) -> str:
         result, parameters = self._usable(), self._settings
         info = camera_info_of(result.calibration, parameters.camera_name, parameters.rectify_alpha)
-        path = parameters.save_path
+        try:
+            path = parameters.save_path
+        except OSError as error:
+            raise Refused(f"{parameters.output_path} cannot be written: {error.strerror}.") from None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError):
@@ -373,10 +383,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 )
             rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:  # arguments or a parameter file that ROS cannot read
-            return _fail(str(error))
+            return _fail(f"ROS cannot use the arguments or a parameter file: {error}")
         try:
             node = CalibrationNode()
-        except FewcalError as error:
+        except (FewcalError, ParameterException) as error:  # the latter of the parameters that rclpy declares
             return _fail(str(error))
         return run(node, wait)
 

@@ -33,7 +33,11 @@ def main() -> int:
             file=sys.stderr,
         )
         return BAD_INSTALLATION
-    return run()
+    code = run()
+    # Python gives the signals back to the system as it ends, and a second one would then count as a crash.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    return code
 
 
 if __name__ == "__main__":

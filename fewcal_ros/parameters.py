@@ -193,6 +193,12 @@ class Parameters:
                 "use fewcal calibrate."
             )
         check_camera_name(self.camera_name)
+        try:
+            Path(self.output_path).expanduser()
+        except RuntimeError:
+            raise InvalidInput(
+                f"There is no user whose home is meant by {self.output_path}; correct it."
+            ) from None
         if (self.prior_focal_px > 0) != (self.prior_focal_std_px > 0):
             raise InvalidInput("prior.focal_px and prior.focal_std_px belong together; give both or neither.")
 
@@ -245,7 +251,7 @@ def _declared() -> Iterator[tuple[str, About]]:
 
 
 def declare_parameters(node: Any) -> Parameters:
-    """Declare every parameter on a node and read its value; a warning names those given that there are not.
+    """Declare every parameter on a node and read its value.
 
     Parameters
     ----------
@@ -283,17 +289,22 @@ def declare_parameters(node: Any) -> Parameters:
             else:
                 descriptor.integer_range = [IntegerRange(from_value=int(least), to_value=int(largest))]
         node.set_descriptor(about.name, descriptor)
-    _warn_of_unknown(node)
     return Parameters(**values)
 
 
-def _warn_of_unknown(node: Any) -> None:
-    """Name the parameters that were given and that nobody reads: one may be misspelt, or another node's."""
+def warn_of_unknown(node: Any) -> None:
+    """Name the parameters that were given and that nobody reads: one may be misspelt, or another node's.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        With all its parameters declared, and all overrides of QoS.
+    """
     # rclpy has no public way to ask for what was given but not declared.
     given = getattr(node, "_parameter_overrides", {})
     known = {about.name for _, about in _declared()}
     for name in sorted(set(given) - known):
-        if not node.has_parameter(name) and not name.startswith(("qos_overrides.", "use_sim_time")):
-            near = difflib.get_close_matches(name, known, 1)
+        if not node.has_parameter(name):
+            near = difflib.get_close_matches(name, known | set(node.list_parameters([], 0).names), 1)
             hint = f"; did you mean {near[0]}?" if near else "."
             node.get_logger().warning(f"There is no parameter {name}{hint}")

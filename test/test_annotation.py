@@ -7,7 +7,7 @@ from board_pictures import BOARD
 from marker_pictures import CHARUCO, needs_markers, two_parts
 
 from fewcal.session import Session
-from fewcal_ros.annotation import FONT_PX, GREEN, LINES, RED, WHITE, WIDTH_PX, Mood, annotate
+from fewcal_ros.annotation import FONT_PX, GREEN, HEIGHT_PX, LINES, RED, WHITE, WIDTH_PX, Mood, annotate
 
 
 def count(picture, colour):
@@ -63,3 +63,10 @@ def test_sixteen_bit_and_any_length_of_text_will_do():
     assert picture.shape[1] == WIDTH_PX
     assert picture[:600, 600:].min() > 200 > 50 > picture[:600, :300].max()
     assert annotate(np.zeros((1, 5000), np.uint8), [], Mood.GOOD).shape[1] == WIDTH_PX
+
+
+@pytest.mark.parametrize("shape", [(2000, 16), (2000, 64), (1, 5000)])
+def test_narrow_images_stay_small(shape):
+    picture = annotate(np.full(shape, 90, np.uint8), ["Words"], Mood.BAD)
+    assert picture.shape[1] == WIDTH_PX
+    assert picture.shape[0] <= HEIGHT_PX + LINES * FONT_PX + 12

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from queue import Queue
 from types import SimpleNamespace
 
 import pytest
-from board_frames import PERIOD_NS, empty, flat, pair
+from board_frames import PERIOD_NS, empty, flat, pair, shown
 from board_pictures import BOARD
 
-from fewcal.errors import InvalidInput
+from fewcal.errors import FewcalError, InvalidInput
 from fewcal.session import Session
 from fewcal_ros.health import Level, health_values, judge_health
 from fewcal_ros.live import LiveCalibration, Look, Refused
@@ -29,6 +30,7 @@ class Bench:
         self.gate = threading.Event()
         self.gate.set()
         self.count = 0
+        self.frame_id = "camera"
         parameters = Parameters(board=str(BOARD), queue_size=100).changed(values)
         self.live = LiveCalibration(
             parameters, self.read, self.looks.put, lambda: False, lambda: "Nobody is there."
@@ -38,7 +40,7 @@ class Bench:
         assert self.gate.wait(TIMEOUT_S)
         if message.image is None:
             raise InvalidInput("This is no image.")
-        return Frame(message.image, message.stamp_ns, "camera", "test")
+        return Frame(message.image, message.stamp_ns, self.frame_id, "test")
 
     def offer(self, *images: object, apart_ns: int = 10 * PERIOD_NS) -> None:
         for image in images:
@@ -147,7 +149,22 @@ class TestByServices:
             bench.live.reset()
             go_on.set()
             assert "changed while" in str(answers.get(timeout=TIMEOUT_S))
+        assert not bench.looks.get(timeout=TIMEOUT_S).problem, "nothing is wrong with the image"
         assert not bench.live.status().views
+
+    def test_the_frame_id_is_that_of_the_last_view_that_is_left(self, bench):
+        for frame_id, image in zip(("near", "far"), pair(), strict=True):
+            bench.frame_id = frame_id
+            assert bench.capture(image).get(timeout=TIMEOUT_S).kept
+        assert bench.live.calibrate().frame_id == "far"
+        bench.live.remove_last()
+        assert bench.live.calibrate().frame_id == "near"
+
+    def test_what_the_camera_saw_last_stays_known(self, bench):
+        bench.show(*[empty()] * 5)  # of which only the first is looked at, the others follow too soon
+        last = bench.live.status().last
+        assert last.decision.reason == "no board"
+        assert "No chessboard" in dict(health_values(bench.live.status()))["last image"]
 
     def test_one_capture_at_a_time_and_none_beyond_the_end(self, bench):
         answers = bench.capture(None)
@@ -171,6 +188,48 @@ def test_an_image_that_cannot_be_read_is_an_error_until_the_next(bench):
     assert dict(health_values(status))["images unreadable"] == "1"
     bench.show(empty())
     assert judge_health(bench.live.status())[0] is Level.WARN
+
+
+def test_a_driver_that_dies_after_an_image_that_cannot_be_read_is_missed(bench):
+    bench.show(None)
+    gone = replace(bench.live.status(), idle_s=9.0, silence="Nobody is there.")
+    assert judge_health(gone) == (Level.WARN, "No image has arrived for 9 s. Nobody is there.")
+
+
+@pytest.mark.parametrize("bench", [{"auto_capture": False, "method": "zhang"}], indirect=True)
+def test_a_calibration_that_failed_is_an_error_until_the_views_change(bench):
+    with pytest.raises(FewcalError):
+        bench.live.calibrate()
+    assert judge_health(bench.live.status())[0] is Level.WARN, "there was nothing to calibrate from"
+    assert bench.capture(flat()).get(timeout=TIMEOUT_S).kept
+    with pytest.raises(FewcalError) as failure:
+        bench.live.calibrate()
+    bench.show(empty())
+    assert judge_health(bench.live.status()) == (Level.ERROR, str(failure.value))
+    assert bench.capture(pair()[0]).get(timeout=TIMEOUT_S).kept
+    assert judge_health(bench.live.status())[0] is Level.WARN
+
+
+@pytest.mark.parametrize(
+    "bench", [{"views_required": 1, "method": "zhu2020", "max_focal_std": 0.05}], indirect=True
+)
+def test_views_are_sought_until_the_method_chosen_calls_its_camera_usable(bench):
+    (first,) = bench.show(pair()[0])
+    assert first.result is not None
+    assert not first.result.calibration.verdict.usable
+    assert bench.live.status().estimate.verdict.usable, "map is content"
+    assert not bench.live.status().complete
+    looks = bench.show(flat(), pair()[1], shown(50.0, 45.0))
+    assert all(look.decision.reason in ("nothing new", "replaced") for look in looks)
+
+
+@pytest.mark.parametrize("bench", [{"views_required": 1, "method": "zhang"}], indirect=True)
+def test_a_method_without_error_bars_is_not_sought_views_for_without_end(bench):
+    looks = bench.show(pair()[0], pair()[1])
+    results = [look.result for look in looks if look.result]
+    assert bench.live.status().complete == (
+        bool(results) and results[-1].calibration.views == bench.live.status().views
+    )
 
 
 @pytest.mark.parametrize("bench", [{"views_required": 1}], indirect=True)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fewcal.errors import InvalidInput
-from fewcal_ros.messages import compressed_to_grey, image_to_grey, stamp_ns
+from fewcal_ros.messages import compressed_size, compressed_to_grey, image_to_grey, stamp_ns
 
 BT601 = np.array([0.299, 0.587, 0.114])
 """Share of red, green and blue in grey, ITU-R BT.601."""
@@ -319,6 +319,33 @@ def test_jpeg_with_thumbnail_cut_off_is_refused() -> None:
 def test_jpeg_of_several_scans_or_with_restarts(flags: list[int]) -> None:
     jpeg = bytes(cv2.imencode(".jpg", noise(13, np.uint8, 48, 64), flags)[1])
     assert compressed_to_grey(compressed(jpeg)).shape == (48, 64)
+
+
+@pytest.mark.parametrize("flags", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 2]])
+def test_the_size_of_a_jpeg_is_in_its_head(flags: list[int]) -> None:
+    jpeg = bytes(cv2.imencode(".jpg", noise(13, np.uint8, 48, 64), flags)[1])
+    assert compressed_size(compressed(jpeg)) == (64, 48)
+    assert compressed_size(compressed(jpeg[: len(jpeg) // 2])) == (64, 48)
+    assert compressed_size(compressed(jpeg[:30])) is None
+
+
+def test_the_size_of_a_thumbnail_is_not_that_of_its_image() -> None:
+    thumbnail = b"Exif\x00\x00" + encoded(".jpg", smooth()[:8, :8])
+    jpeg = encoded(".jpg", noise(13, np.uint8, 48, 64))
+    whole = jpeg[:2] + b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail + jpeg[2:]
+    assert compressed_size(compressed(whole)) == (64, 48)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tiff", ".pgm", ".webp"])
+def test_every_kind_tells_its_size(suffix: str) -> None:
+    assert compressed_size(compressed(encoded(suffix, noise(13, np.uint8, 48, 64)))) == (64, 48)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\xff\xd8\xff" + b"garbage" * 20, b"\x89PNG\r\n\x1a\n", b"BM", b"h264"]
+)
+def test_what_is_no_image_has_no_size(data: bytes) -> None:
+    assert compressed_size(compressed(data)) is None
 
 
 def test_jpeg_padded_by_its_driver_is_accepted() -> None:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from circle_pictures import ASYMMETRIC, SYMMETRIC, two_views
@@ -220,6 +221,34 @@ class TestByItself:
         assert infos[0].header.frame_id == "camera_optical_frame"
         assert (infos[0].width, infos[0].height) == (640, 480)
 
+    def test_camera_info_is_for_compressed_images_of_its_size_alone(self, cell):
+        cell.start_node(image_transport="compressed", publish_camera_info=True)
+        client, stamp = cell.client, 0
+        infos = client.listen(CameraInfo, "/camera_info")
+        camera = client.node.create_publisher(CompressedImage, "/image/compressed", 10)
+        with open_frames([BAGS / "wrist.bag"]) as frames:
+            pictures = [frame.image for frame in frames]
+
+        def publish(image, **expected):
+            nonlocal stamp
+            stamp += 1
+            message = CompressedImage(format="jpeg", data=cv2.imencode(".jpg", image)[1].tobytes())
+            message.header.stamp.sec = stamp
+            camera.publish(message)
+            time.sleep(0.05)
+            return expected.items() <= client.values().items()
+
+        wait_until(lambda: publish(pictures[STILL[3]], views="1"), "a view")
+        wait_until(lambda: publish(pictures[STILL[6]], level="OK"), "a camera")
+        first = stamp + 1
+        for _ in range(5):  # sizes of which every other is right
+            publish(pictures[STILL[6]])
+            publish(pictures[STILL[6]][::2, ::2])
+        right = set(range(first, stamp, 2))
+        heard = lambda: {info.header.stamp.sec for info in infos if info.header.stamp.sec >= first}  # noqa: E731
+        wait_until(lambda: right <= heard(), "camera_info")
+        assert heard() == right
+
     def test_what_is_not_usable_is_not_given_away_unless_asked(self, cell):
         cell.start_node(views_required=1, prior__focal_px=518.0, prior__focal_std_px=5, max_focal_std=1e-4)
         infos = cell.client.camera_info()
@@ -286,6 +315,13 @@ class TestByServices:
         saved = read_camera_info(tmp_path / "wrist.yaml")
         assert saved.camera.matrix.ravel().tolist() == list(infos[0].k)
         assert client.values()["hardware id"] == "wrist"
+
+        for path, reason in (("n" * 300, "File name too long"), (f"{tmp_path}/wrist.yaml/x", "no folder")):
+            assert client.set(output_path=path).successful
+            answer = client.call("save")
+            assert not answer.success
+            assert reason in answer.message
+        client.wait_for(views="2", usable="yes")
 
         capture_when_still(cell)
         for name in ("save", "commit"):
@@ -355,6 +391,10 @@ class TestParameters:
             ({"method": "best"}, "method must be one of map, zhu2020, zhang, not 'best'."),
             ({"camera_name": "my camera"}, "letters, digits and underscores"),
             ({"camera_name": "left", "rectify_alpha": 2}, "rectify_alpha must be from -1 to 1"),
+            (
+                {"output_path": "~nobody-of-this-name/x.yaml"},
+                "no user whose home is meant by ~nobody-of-this",
+            ),
         ):
             result = client.set(**values)
             assert not result.successful
@@ -377,6 +417,12 @@ class TestParameters:
                 "camera_name must be text, not 7; quote it",
             ),
             (["-p", f"board:={BOARD}", "-p", "qos_overrides./image.subscription.reliability:=x"], "image"),
+            (
+                ["-p", f"board:={BOARD}", "-p", "qos_overrides./image.subscription.depth:=-3"],
+                "depth is negative",
+            ),
+            (["-p", f"board:={BOARD}", "-p", "use_sim_time:=abc"], "use_sim_time"),
+            (["--nonsense"], "ROS cannot use the arguments or a parameter file: ['--nonsense']"),
             (["-p", "board"], "board"),
             (["--params-file", "nowhere.yaml"], "nowhere.yaml"),
         ],
@@ -423,6 +469,18 @@ class TestParameters:
         cell.client.wait_for(views="0")
         said = "There is no parameter min_sharpnes; did you mean min_sharpness?"
         wait_until(lambda: any(said in line for line in node.err), "a warning")
+
+    def test_an_override_of_another_topic_is_named(self, cell):
+        override = "qos_overrides./image.subscription.reliability"
+        node = cell.start_node(
+            "-r", "image:=/camera/image_raw", "-p", f"{override}:=reliable", use_sim_timee=True
+        )
+        cell.client.wait_for(views="0")
+        for said in (
+            f"no parameter {override}; did you mean qos_overrides./camera/image_raw.subscription.reliability",
+            "no parameter use_sim_timee; did you mean use_sim_time?",
+        ):
+            wait_until(lambda said=said: any(said in line for line in node.err), "a warning")
 
 
 class TestState:

@@ -43,3 +43,23 @@ def test_a_signal_during_the_imports_ends_it_quietly(number: signal.Signals) -> 
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_it_ends_does_not_count_as_a_crash(number: signal.Signals) -> None:
+    # Sent by what Python calls last, when it has given all handlers of signals back to the system.
+    code = (
+        "import os, sys, types\n"
+        "class Last:\n"
+        f"    def __del__(self, kill=os.kill, own=os.getpid()):\n        kill(own, {int(number)})\n"
+        "node = types.ModuleType('fewcal_ros.node')\n"
+        "node.main = lambda: 0\n"
+        "sys.modules['fewcal_ros.node'] = node\n"
+        "from fewcal_ros.node_command import main\n"
+        "sys.last = Last()\n"
+        "sys.exit(main())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")

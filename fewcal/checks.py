@@ -73,7 +73,7 @@ def require_pair(name: str, pair: object, positive: bool = False) -> None:
 
 
 def require_kind(name: str, value: object, kind: type) -> None:
-    """Refuse what is not of a class of this package, or has not what one of its protocols asks.
+    """Refuse what is not of a class of this package.
 
     Raises
     ------

@@ -58,9 +58,8 @@ class KnownObject:
     coordinates: tuple[tuple[float, ...], ...]
 
     def __post_init__(self) -> None:
-        if len(set(self.names)) < len(self.names) or list(map(len, self.coordinates)) != [3] * len(
-            self.names
-        ):
+        lengths = [len(point) for point in self.coordinates]
+        if len(set(self.names)) < len(self.names) or lengths != [3] * len(self.names):
             raise InvalidInput(f"{self.file}: every point needs a name of its own, and x, y and z.")
         if len(self.names) < MIN_POINTS:
             raise InvalidInput(

@@ -60,6 +60,6 @@ setup(
         ],
     },
     entry_points={
-        "console_scripts": ["fewcal = fewcal_ros.cli:main", "fewcal_node = fewcal_ros.node_command:main"]
+        "console_scripts": ["fewcal = fewcal_ros.command:main", "fewcal_node = fewcal_ros.node_command:main"]
     },
 )

@@ -204,8 +204,8 @@ def _check(grey: GreyImage, grid: _Grid, ellipses: Ellipses, misplaced: NDArray[
     if not ellipses.good.all():
         raise BoardNotFound(
             "cut off",
-            f"{int((~ellipses.good).sum())} of the {len(misplaced)} circles cannot be seen; uncover the "
-            "whole board and keep reflections off it.",
+            f"{int((~ellipses.good).sum())} of the {len(misplaced)} circles cannot be seen, or are unlike "
+            "the others; uncover the whole board, keep reflections off it, and print all circles alike.",
         )
     if misplaced.any():
         raise BoardNotFound(

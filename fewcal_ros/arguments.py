@@ -111,6 +111,7 @@ def _add_calibrate(commands: argparse._SubParsersAction[_Parser], actions: Mappi
     command.set_defaults(run=actions["calibrate"])
     command.add_argument(
         "sources",
+        type=_named,
         nargs="+",
         metavar="SOURCE",
         help="a .mcap, .db3 or .bag file, a rosbag2 folder, images, or a folder of images; with points:FILE "
@@ -163,7 +164,7 @@ def _add_calibrate(commands: argparse._SubParsersAction[_Parser], actions: Mappi
     )
     command.add_argument("--camera-name", default="camera", metavar="NAME", help="name in camera.yaml")
     command.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder that receives camera.yaml and calibration.json"
+        "--out", type=_path, metavar="DIR", help="folder that receives camera.yaml and calibration.json"
     )
     command.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else")
 
@@ -225,6 +226,17 @@ def _add_play(commands: argparse._SubParsersAction[_Parser], actions: Mapping[st
         metavar="A[:=B]",
         help="A:=B publishes the recorded topic A as B; A alone plays only what is mentioned; repeatable",
     )
+
+
+def _named(text: str) -> str:
+    """Refuse nothing, which as a path would be the current folder: a variable of a script may be empty."""
+    if not text:
+        raise argparse.ArgumentTypeError("the name is empty; give one, or . for the current folder")
+    return text
+
+
+def _path(text: str) -> Path:
+    return Path(_named(text))
 
 
 def _rate(text: str) -> float:

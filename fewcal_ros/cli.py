@@ -26,6 +26,7 @@ from fewcal.sheet_files import write_sheet
 from fewcal.verdict import Thresholds
 
 from .arguments import make_parser
+from .command import INTERRUPTED
 from .errors import RosError
 from .frames import FrameReader, open_frames
 from .messages import Frame
@@ -40,9 +41,11 @@ if TYPE_CHECKING:
 REDRAW_S = 0.1
 """The progress bar is drawn no more often than this."""
 
+CAMERA, REPORT = "camera.yaml", "calibration.json"
+"""What is written to the folder of --out."""
 USABLE, NOT_USABLE, BAD_INPUT, NO_CALIBRATION = 0, 1, 2, 3
-INTERRUPTED, PIPE_CLOSED = 130, 141
-"""What a shell reports for a command that SIGINT (2) or SIGPIPE (13) ended: 128 and the signal."""
+PIPE_CLOSED = 141
+"""What a shell reports for a command that SIGPIPE (13) ended: 128 and the signal."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -87,6 +90,8 @@ def _run(arguments: Sequence[str] | None) -> int:
 def _calibrate(options: argparse.Namespace) -> int:
     if not options.max_focal_std > 0:
         raise InvalidInput("--max-focal-std must be above zero, for example 0.02 for 2 %.")
+    if options.select == "first" and options.views is None:
+        raise InvalidInput("--select first stops when there are enough views; say how many with --views N.")
     check_camera_name(options.camera_name)
     settings = Settings(
         board=parse_board(options.board),
@@ -109,20 +114,21 @@ def _calibrate(options: argparse.Namespace) -> int:
     _warn(filter(None, [pose_ambiguity(settings.board)]))
     outcome = _count_unreadable(outcome, reader)
     report = as_json(outcome)
-    if options.out is not None:
-        write_camera_info(options.out / "camera.yaml", outcome.calibration, camera_name=options.camera_name)
-        write_atomically(options.out / "calibration.json", report)
-    if options.json:
-        _say(report)
-    else:
-        _say(as_text(outcome))
+    try:
         if options.out is not None:
-            _say(f"Written: {options.out / 'camera.yaml'}, {options.out / 'calibration.json'}\n")
+            write_atomically(options.out / REPORT, report)
+            write_camera_info(options.out / CAMERA, outcome.calibration, camera_name=options.camera_name)
+    finally:  # a full disk does not cost the result
+        _say(report if options.json else as_text(outcome))
+    if options.out is not None and not options.json:
+        _say(f"Written: {options.out / CAMERA}, {options.out / REPORT}\n")
     return USABLE if outcome.calibration.verdict.usable else NOT_USABLE
 
 
 def _open(options: argparse.Namespace, board: Board) -> FrameReader | PixelFrames:
     if isinstance(board, KnownObject):
+        if options.topic is not None:
+            raise InvalidInput("--topic is for recordings; with --board points:FILE there are images.")
         return PixelFrames(options.sources, tuple(options.image_size) if options.image_size else None)
     if options.image_size:
         raise InvalidInput("--image-size is for files of pixels, with --board points:FILE; images have one.")
@@ -142,6 +148,9 @@ def _make_folder(folder: Path) -> None:
         raise InvalidInput(f"The folder {folder} cannot be made: {error.strerror}.") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InvalidInput(f"The folder {folder} cannot be written to; choose another or change its mode.")
+    for name in (CAMERA, REPORT):
+        if (folder / name).is_dir():
+            raise InvalidInput(f"{folder / name} is a folder, where a file is to be written; remove it.")
 
 
 @contextmanager

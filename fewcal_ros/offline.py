@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from fewcal.boards import Board
 from fewcal.calibration import Calibration, calibrate
 from fewcal.constraints import Priors
-from fewcal.errors import DegenerateViews
+from fewcal.errors import BoardNotFound, DegenerateViews
 from fewcal.selection import CANDIDATES, best_subset, information, thin
 from fewcal.session import FrameFilter, Session, size_of
 from fewcal.verdict import Thresholds, Verdict
@@ -70,24 +70,28 @@ def calibrate_frames(frames: Iterable[Frame], settings: Settings) -> Outcome:
     DegenerateViews
         When no frame shows the board well enough, or the views determine no camera.
     """
+    fates = _Fates()
     if settings.select == "first" and settings.views is not None:
-        outcome = _first(frames, settings, settings.views)
+        outcome = _first(frames, settings, settings.views, fates)
     else:
-        outcome = _best(frames, settings)
-    used, asked = len(outcome.calibration.views), settings.views
-    if asked is None or used >= asked:
-        return outcome
-    remark = f"Only {used} good view{'s were' if used > 1 else ' was'} found, {asked} were asked for."
-    return replace(outcome, calibration=_with_remark(outcome.calibration, remark))
+        outcome = _best(frames, settings, fates)
+    calibration = outcome.calibration
+    used, asked = len(calibration.views), settings.views
+    if asked is not None and used < asked:
+        remark = f"Only {used} good view{'s were' if used > 1 else ' was'} found, {asked} were asked for."
+        calibration = _with_remark(calibration, remark)
+    if why := fates.of_most():
+        calibration = _with_remark(calibration, why)
+    return replace(outcome, calibration=calibration)
 
 
-def _with_remark(calibration: Calibration, remark: str) -> Calibration:
-    """Add a sentence to the verdict that does not change whether the camera is usable."""
+def _with_remark(calibration: Calibration, remark: str, usable: bool = True) -> Calibration:
+    """Add a sentence to the verdict, which does not change it unless the camera is not `usable` for it."""
     verdict = calibration.verdict
-    return replace(calibration, verdict=Verdict(verdict.usable, (*verdict.reasons, remark)))
+    return replace(calibration, verdict=Verdict(verdict.usable and usable, (*verdict.reasons, remark)))
 
 
-def _first(frames: Iterable[Frame], settings: Settings, count: int) -> Outcome:
+def _first(frames: Iterable[Frame], settings: Settings, count: int, fates: _Fates) -> Outcome:
     """Feed a session, as the live node does, until it has what it needs."""
     session = Session(
         settings.board,
@@ -96,7 +100,6 @@ def _first(frames: Iterable[Frame], settings: Settings, count: int) -> Outcome:
         priors=settings.priors,
         thresholds=settings.thresholds,
     )
-    fates = _Fates()
     for frame in frames:
         decision = session.add(frame.image, frame.stamp_ns, frame.source)
         fates.note(decision.reason, decision.message)
@@ -109,10 +112,9 @@ def _first(frames: Iterable[Frame], settings: Settings, count: int) -> Outcome:
     return Outcome(session.calibrate(), session.frames.read, session.frames.with_board, +rejected)
 
 
-def _best(frames: Iterable[Frame], settings: Settings) -> Outcome:
+def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome:
     """Find every good view, then keep the subset that leaves the least uncertainty."""
     look = FrameFilter(settings.board)
-    fates = _Fates()
     good: dict[tuple[int, int], list[View]] = {}
     moving: dict[tuple[int, int], list[View]] = {}
     for frame in frames:
@@ -134,9 +136,13 @@ def _best(frames: Iterable[Frame], settings: Settings) -> Outcome:
     size = max(good, key=lambda size: len(good[size]))
     views = good.pop(size)
     rejected["other size"] = sum(map(len, good.values()))
-    chosen = views if settings.views is None else _choose(views, size, settings, settings.views)
+    chosen, together = views, None
+    if settings.views is not None and len(views) > settings.views:
+        chosen, together = _choose(views, size, settings, settings.views)
     rejected["not selected"] = len(views) - len(chosen)
     calibration = calibrate(chosen, size, settings.method, settings.priors, settings.thresholds)
+    if together is not None and (contradiction := _contradiction(calibration, together, settings.thresholds)):
+        calibration = _with_remark(calibration, contradiction, usable=False)
     if in_motion := sum(view in moving.get(size, []) for view in chosen):
         calibration = _with_remark(
             calibration,
@@ -146,12 +152,29 @@ def _best(frames: Iterable[Frame], settings: Settings) -> Outcome:
     return Outcome(calibration, look.read, look.with_board, +rejected)
 
 
-def _choose(views: list[View], size: tuple[int, int], settings: Settings, count: int) -> list[View]:
-    if len(views) <= count:
-        return views
+def _choose(
+    views: list[View], size: tuple[int, int], settings: Settings, count: int
+) -> tuple[list[View], Calibration]:
+    """Choose so many views, and calibrate from all of them, or from those that differ most."""
     candidates = [views[i] for i in thin(views, max(CANDIDATES, count))]
     together = calibrate(candidates, size, "map", settings.priors, settings.thresholds)
-    return [candidates[i] for i in best_subset(information(together, settings.priors), count)]
+    return [candidates[i] for i in best_subset(information(together, settings.priors), count)], together
+
+
+def _contradiction(chosen: Calibration, together: Calibration, thresholds: Thresholds) -> str:
+    """Say when all good views together speak against the camera of those chosen; empty when they do not."""
+    if chosen.std is None or together.std is None:
+        return ""
+    for name in ("fx", "fy"):
+        theirs, sd = getattr(together.camera, name), together.std[name]
+        off = abs(getattr(chosen.camera, name) - theirs)
+        if sd < chosen.std[name] and off > thresholds.conflict * chosen.std[name]:
+            return (
+                f"All {len(together.views)} good views together contradict those chosen: {name} is "
+                f"{theirs:.1f} +- {sd:.1f} px by them, {off / chosen.std[name]:.1f} standard deviations off; "
+                "calibrate from all of them (--views all)."
+            )
+    return ""
 
 
 class _Fates:
@@ -169,8 +192,21 @@ class _Fates:
             return DegenerateViews("There is no frame to look at; give a recording or images with some.")
         telling = [reason for reason in self._said if reason != "no board"] or ["no board"]
         sentences = self._said[max(telling, key=lambda reason: self._said[reason].total())]
-        total = sum(said.total() for said in self._said.values())
         return DegenerateViews(
-            f"None of {total} frame{'s' * (total != 1)} shows {board} well enough. "
+            f"None of {self._total} frame{'s' * (self._total != 1)} shows {board} well enough. "
             f"{sentences.most_common(1)[0][0]}"
         )
+
+    def of_most(self) -> str:
+        """Say why most frames that show a board are no use, if they are for one reason; else nothing."""
+        with_board = self._total - self._said.get("no board", Counter()).total()
+        for reason in set(BoardNotFound.REASONS) - {"no board"}:
+            said = self._said.get(reason, Counter())
+            if 2 * said.total() > with_board:
+                sentence = said.most_common(1)[0][0]
+                return f"{said.total()} of {self._total} frames were no use ({reason}). {sentence}"
+        return ""
+
+    @property
+    def _total(self) -> int:
+        return sum(said.total() for said in self._said.values())

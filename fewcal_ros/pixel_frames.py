@@ -10,6 +10,7 @@ import numpy as np
 
 from fewcal.errors import InvalidInput
 from fewcal.known_object import PIXEL_SUFFIXES, pixel_file
+from fewcal.session import size_of
 
 from .encoded import decode_grey
 from .messages import Frame
@@ -80,7 +81,13 @@ class _Source:
             return Frame(np.zeros(self._size[::-1], np.uint8), None, "", str(self._pixels))
         with readable(self._image):
             data = self._image.read_bytes()
-        return Frame(decode_grey(data, self._image.name), None, "", str(self._image))
+        image = decode_grey(data, self._image.name)
+        if self._size not in (None, size_of(image)):
+            width, height = size_of(image)
+            raise InvalidInput(
+                f"{self._image.name} is {width}x{height}; leave --image-size out, or correct it."
+            )
+        return Frame(image, None, "", str(self._image))
 
 
 def _expanded(path: Path) -> list[Path]:

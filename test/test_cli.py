@@ -283,6 +283,9 @@ USAGE = {
     "unknown option": [*calibrate("x.png"), "--frobnicate"],
     "unknown method": [*calibrate("x.png"), "--method", "opencv"],
     "unknown selection": [*calibrate("x.png"), "--select", "last"],
+    "first of all": [*calibrate("x.png"), "--select", "first", "--views", "all"],
+    "a source without a name": ["calibrate", "", "--board", BOARD],
+    "a folder without a name": [*calibrate("x.png"), "--out", ""],
     "views 0": [*calibrate("x.png"), "--views", "0"],
     "views -1": [*calibrate("x.png"), "--views", "-1"],
     "views x": [*calibrate("x.png"), "--views", "x"],
@@ -675,6 +678,17 @@ def test_real_images(run: Any, name: str, select: str) -> None:
     reference = json.loads((folder / "reference.json").read_text())["k4_fixK3"]["fx"]
     allowed = 4 * result.content["std"]["fx"] + 0.01 * reference
     assert abs(result.content["camera"]["fx"] - reference) < allowed
+
+
+@needs_markers
+@pytest.mark.skipif(not REAL, reason="FEWCAL_REAL_DATA is not set")
+def test_a_real_pair_that_the_other_views_contradict_is_not_usable(run: Any) -> None:
+    assert REAL is not None
+    images = Path(REAL, "sets/yz_charuco_intr/images")
+    result = run("calibrate", images, "--board", "charuco:9x7:0.04:0.02:DICT_4X4_100", "--json")
+    assert result.code == 1
+    (reason,) = result.content["verdict"]["reasons"]
+    assert reason.startswith("All 7 good views together contradict those chosen: fx is 790.")
 
 
 @pytest.mark.skipif(not REAL, reason="FEWCAL_REAL_DATA is not set")

@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 from board_frames import PERIOD_NS, Image, empty, flat, pair, shown
 from board_pictures import BOARD, CAMERA
+from scenes import SIZE, noisy, views_at
 
 from fewcal.boards import Chessboard
+from fewcal.calibration import calibrate
+from fewcal.camera import Camera
 from fewcal.errors import DegenerateViews
 from fewcal.selection import CANDIDATES
 from fewcal.verdict import Thresholds
 from fewcal_ros.messages import Frame
-from fewcal_ros.offline import Outcome, Settings, calibrate_frames
+from fewcal_ros.offline import Outcome, Settings, _contradiction, calibrate_frames
 
 
 def frames_of(images: Sequence[Image], period_ns: int | None = None) -> list[Frame]:
@@ -49,6 +52,30 @@ def test_best_picks_the_informative_pair() -> None:
     fx, std = outcome.calibration.camera.fx, outcome.calibration.std
     assert std is not None
     assert abs(fx - CAMERA.fx) < min(3 * std["fx"], 0.01 * CAMERA.fx)
+
+
+@pytest.mark.parametrize(("longer", "contradicted"), [(1.0, False), (1.05, True)])
+def test_all_good_views_are_held_against_those_chosen(longer: float, contradicted: bool) -> None:
+    tilts = (40, 30), (35, 120), (30, -60), (20, 80), (45, 200)
+    camera = Camera(1100.0, 1103.0, 650.0, 470.0)
+    other = Camera(longer * 1100.0, longer * 1103.0, 650.0, 470.0)
+    chosen = calibrate(noisy(views_at(*tilts[:2], camera=camera), 0.2, 1), SIZE)
+    together = calibrate(noisy(views_at(*tilts, camera=other), 0.2, 2), SIZE)
+    said = _contradiction(chosen, together, Thresholds())
+    assert bool(said) == contradicted
+    if contradicted:
+        assert said.startswith("All 5 good views together contradict those chosen: fx is 115")
+        assert not _contradiction(together, chosen, Thresholds()), "the less sure contradict nobody"
+        assert not _contradiction(chosen, together, Thresholds(conflict=np.inf))
+
+
+def test_what_most_frames_were_no_use_for_is_said() -> None:
+    images = [*pair(), *[shown(30.0, blur_px=4.0, seed=i) for i in range(3)], empty()]
+    outcome = calibrated(images)
+    assert outcome.calibration.verdict.usable
+    (remark,) = outcome.calibration.verdict.reasons
+    assert remark.startswith("3 of 6 frames were no use (blurred). ")
+    assert calibrated(images[:4]).calibration.verdict.reasons == ()
 
 
 def test_best_single_view_is_a_tilted_one() -> None:

@@ -72,6 +72,18 @@ def test_what_cannot_be_calibrated(run: Any, plate: str, tmp_path: Path) -> None
         assert says in result.err
 
 
+def test_options_that_mean_nothing_here_are_refused(run: Any, plate: str, tmp_path: Path) -> None:  # noqa: F811
+    photo = tmp_path / "photo0.jpg"
+    for options, says in (
+        (["--topic", "/image"], "--topic is for recordings"),
+        (["--image-size", "64", "48"], "leave --image-size out"),
+    ):
+        result = run("calibrate", photo, "--board", plate, *options)
+        assert (result.code, result.out) == (2, "")
+        assert_one_sentence(result.err)
+        assert says in result.err
+
+
 @pytest.mark.parametrize("size", [("0", "480"), ("640", "x"), ("640", "1e9"), ("640", "1000000")])
 def test_sizes_that_are_none(run: Any, plate: str, tmp_path: Path, size: tuple[str, str]) -> None:  # noqa: F811
     result = run("calibrate", tmp_path, "--board", plate, "--image-size", *size)

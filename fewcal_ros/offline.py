@@ -170,7 +170,7 @@ def _contradiction(chosen: Calibration, together: Calibration, thresholds: Thres
         off = abs(getattr(chosen.camera, name) - theirs)
         if sd < chosen.std[name] and off > thresholds.conflict * chosen.std[name]:
             return (
-                f"All {len(together.views)} good views together contradict those chosen: {name} is "
+                f"{len(together.views)} good views together contradict those chosen: {name} is "
                 f"{theirs:.1f} +- {sd:.1f} px by them, {off / chosen.std[name]:.1f} standard deviations off; "
                 "calibrate from all of them (--views all)."
             )
@@ -178,7 +178,7 @@ def _contradiction(chosen: Calibration, together: Calibration, thresholds: Thres
 
 
 class _Fates:
-    """Remembers what was said of the frames, to answer with when there is no view at all."""
+    """Remembers what was said of the frames."""
 
     def __init__(self) -> None:
         self._said: dict[str, Counter[str]] = {}

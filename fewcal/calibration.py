@@ -298,6 +298,8 @@ def _result(
     poses = found.board_poses()
     counts = (stack.weights > 0).sum(axis=1)
     squares = _squared_errors(found, solution.camera)
+    if not np.isfinite(squares).all():
+        raise DegenerateViews("Without its bend the board lies behind the camera; state another prior of it.")
     covariance = solution.covariance
     evidence = Evidence(
         rotations=poses[:, :3, :3],

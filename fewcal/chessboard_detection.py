@@ -65,6 +65,11 @@ LOOKED_AT = 8
 SAME_START_SHARE = 0.2
 """Corners are located from any start within so much of a square: what a finer copy puts no farther from what
 failed would fail as well."""
+FOLLOWING_CONTRAST_SHARE = 0.5
+"""Least step of brightness at a corner beyond the grid, as a share of that of its neighbour inside, for which
+the board goes on there."""
+_SIDES = np.s_[0, 1:-1], np.s_[-1, 1:-1], np.s_[1:-1, 0], np.s_[1:-1, -1]
+"""Outermost rows and columns of a grid, without its corners."""
 _ATTEMPTS = 3
 """Rounds of looking again for corners that were wrong; glare often moves one by a part of a square."""
 
@@ -97,7 +102,14 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
                 if any(_is_same_start(grid, other) for other in tried):
                     continue
                 try:
-                    return _locate(grey, grid)
+                    corners = _locate(grey, grid)
+                    if not _goes_on(grey, corners):
+                        return corners
+                    raise BoardNotFound(
+                        "wrong size",
+                        f"The chessboard goes on beyond {board.columns}x{board.rows} interior corners; give "
+                        "the size of the board that is shown.",
+                    )
                 except BoardNotFound as error:
                     failure = failure or error
                 tried.append(grid)
@@ -212,6 +224,29 @@ def _at_border(grey: GreyImage, grid: Array) -> bool:
     wide = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     beyond, _ = predict(wide)
     return outside(grey.shape, beyond, 0)
+
+
+def _goes_on(grey: GreyImage, corners: RefinedCorners) -> bool:
+    """Whether a grid is a part of a larger board: beyond it follows a row or column of corners like its own.
+
+    A coarse copy may show a part of a board only, whose size may happen to be the one asked for.
+    """
+    whole = fill_gaps(np.pad(corners.points, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan))
+    sides = [side for side in _SIDES if np.mean(squares_meet_in_shadow(grey, whole)[side]) > MIN_GOOD_SHARE]
+    if not sides:  # as a rule, and quickly told
+        return False
+    beyond = np.zeros(whole.shape[:2], dtype=bool)
+    for side in sides:
+        beyond[side] = True
+    found = refine_corners(grey, np.where(beyond[..., None], whole, np.nan), affine_frames(whole))
+    near = np.linalg.norm(found.points - whole, axis=2) < SAME_START_SHARE * square_size(corners.points)
+    # Next to it, inside.
+    inner = np.pad(corners.contrast, 1, mode="edge")
+    alternating = -np.sign(inner) * found.contrast > FOLLOWING_CONTRAST_SHARE * np.abs(inner)
+    # Where the margin of a blurred board meets something dark there are corners too, but no squares.
+    squares = squares_meet_in_shadow(grey, np.where(beyond[..., None], found.points, whole))
+    more = found.good & near & alternating & squares
+    return any(np.mean(more[side]) > MIN_GOOD_SHARE for side in sides)
 
 
 def _locate(grey: GreyImage, grid: Array) -> RefinedCorners:

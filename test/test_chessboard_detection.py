@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from no_board import NO_BOARD, no_board
 
 from fewcal.boards import Chessboard
 from fewcal.camera import Camera
+from fewcal.chessboard_detection import _find_corners, _goes_on
+from fewcal.corner_refinement import RefinedCorners
 from fewcal.detection import detect, detect_board
 from fewcal.errors import BoardNotFound, InvalidInput
 from fewcal.rendering import clutter, render
@@ -190,6 +193,34 @@ def test_covered_corners_are_not_invented() -> None:
 def test_a_blurred_board_is_said_to_be_blurred(conditions: dict[str, float]) -> None:
     image, _ = picture(pose(BOARD, 36, 20, 40, 15), **conditions)
     assert refusal(image).reason == "blurred"
+
+
+@pytest.mark.parametrize("blur_px", [0.7, 3.0])
+@pytest.mark.parametrize("tilt", [0.0, 45.0])
+def test_a_part_of_a_board_is_told_from_the_whole(blur_px: float, tilt: float) -> None:
+    image, _ = picture(pose(BOARD, 30.0, tilt, 20.0), blur_px=blur_px)
+    whole = _find_corners(image, BOARD)
+    assert not _goes_on(image, whole)
+    for part in (np.s_[:, :-1], np.s_[:, 1:], np.s_[:-1], np.s_[1:], np.s_[1:-1, 1:-1]):
+        assert _goes_on(image, RefinedCorners(*(getattr(whole, of.name)[part] for of in fields(whole))))
+
+
+@pytest.mark.skipif(not REAL, reason="FEWCAL_REAL_DATA is not set")
+def test_no_part_of_a_real_board_is_taken_for_one() -> None:
+    smaller, found = Chessboard(8, 6, 0.025), 0
+    for name in ("opencv_left", "opencv_right"):
+        for path in sorted(Path(str(REAL), "sets", name, "images").iterdir()):
+            image = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+            whole = detect(image, Chessboard(9, 6, 0.025)).image_points
+            found += 1
+            try:
+                part = detect(image, smaller).image_points
+            except BoardNotFound:
+                continue
+            # There is a monitor in the background that shows small boards.
+            apart = np.linalg.norm(part[:, None] - whole, axis=2).min()
+            assert apart > 50, path.name
+    assert found == 26
 
 
 def test_blur_that_leaves_every_corner_is_no_reason_to_refuse() -> None:

@@ -179,9 +179,8 @@ def calibrate(
         if method == "map":
             found = estimate_map(stack, size, priors, alike)
             solution = _map_solution(found)
-            if priors.focal_px is not None and max(solution.prior_conflicts.values()) > thresholds.conflict:
-                named = _conflict_of_focal(stack, size, priors, priors.focal_px, alike)
-                solution.prior_conflicts[FOCAL] = max(named, solution.prior_conflicts[FOCAL])
+            if max(solution.prior_conflicts.values()) > thresholds.conflict:
+                solution = _with_stated_focal(solution, stack, size, priors, alike)
         else:
             found = estimate_zhu2020(stack, size) if method == "zhu2020" else estimate_zhang(stack)
             solution = _pixel_solution(found, size, priors, alike)
@@ -236,19 +235,23 @@ def _map_solution(found: Estimate) -> _Solution:
     )
 
 
-def _conflict_of_focal(
-    stack: ViewStack, size: tuple[int, int], priors: Priors, stated: tuple[float, float], alike: Array
-) -> float:
-    """How far a stated focal length is from what the views say without it, in standard deviations of both.
+def _with_stated_focal(
+    solution: _Solution, stack: ViewStack, size: tuple[int, int], priors: Priors, alike: Array
+) -> _Solution:
+    """Hold a focal length that was stated, if any, against what the views say without it, both with their sd.
 
     What is stated surely can make everything else give way, at a camera where the views seem to agree.
     """
+    if priors.focal_px is None:
+        return solution
     free = _map_solution(estimate_map(stack, size, replace(priors, focal_px=None), alike))
     assert free.covariance is not None
-    mean, sd = stated
-    return abs(math.log(free.camera.fx / mean)) / math.hypot(
+    mean, sd = priors.focal_px
+    off = abs(math.log(free.camera.fx / mean)) / math.hypot(
         sd / mean, _focal_std(free.covariance, free.camera)
     )
+    conflicts = solution.prior_conflicts
+    return replace(solution, prior_conflicts={**conflicts, FOCAL: max(off, conflicts[FOCAL])})
 
 
 def _pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alike: Array) -> _Solution:

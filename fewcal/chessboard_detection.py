@@ -103,15 +103,12 @@ def _find_corners(grey: GreyImage, board: Chessboard) -> RefinedCorners:
                     continue
                 try:
                     corners = _locate(grey, grid)
-                    if not _goes_on(grey, corners):
-                        return corners
-                    raise BoardNotFound(
-                        "wrong size",
-                        f"The chessboard goes on beyond {board.columns}x{board.rows} interior corners; give "
-                        "the size of the board that is shown.",
-                    )
                 except BoardNotFound as error:
                     failure = failure or error
+                else:
+                    if not _goes_on(grey, corners):
+                        return corners
+                    failure = failure or _larger(board)
                 tried.append(grid)
             elif grid.size > largest.size:
                 largest = grid
@@ -226,13 +223,22 @@ def _at_border(grey: GreyImage, grid: Array) -> bool:
     return outside(grey.shape, beyond, 0)
 
 
+def _larger(board: Chessboard) -> BoardNotFound:
+    return BoardNotFound(
+        "wrong size",
+        f"The chessboard goes on beyond {board.columns}x{board.rows} interior corners; give the size of the "
+        "board that is shown.",
+    )
+
+
 def _goes_on(grey: GreyImage, corners: RefinedCorners) -> bool:
     """Whether a grid is a part of a larger board: beyond it follows a row or column of corners like its own.
 
     A coarse copy may show a part of a board only, whose size may happen to be the one asked for.
     """
     whole = fill_gaps(np.pad(corners.points, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan))
-    sides = [side for side in _SIDES if np.mean(squares_meet_in_shadow(grey, whole)[side]) > MIN_GOOD_SHARE]
+    meet = squares_meet_in_shadow(grey, whole)
+    sides = [side for side in _SIDES if np.mean(meet[side]) > MIN_GOOD_SHARE]
     if not sides:  # as a rule, and quickly told
         return False
     beyond = np.zeros(whole.shape[:2], dtype=bool)

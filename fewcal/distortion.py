@@ -183,6 +183,13 @@ def surely_invertible(radius: float, coefficients: Array) -> bool:
     return bool((proven & (r * factor - 3 * tangential * r2 > radius)).any())
 
 
+def is_upright(d_points: Array) -> NDArray[np.bool_]:
+    """Whether a model with Jacobians (..., 2, 2) is on its way there: neither at a fold nor behind one."""
+    determinant = d_points[..., 0, 0] * d_points[..., 1, 1] - d_points[..., 0, 1] ** 2
+    upright: NDArray[np.bool_] = (determinant > 0) & (d_points[..., 0, 0] > 0)
+    return upright
+
+
 def undistort(points: Array, coefficients: Array) -> Array:
     """Invert :func:`distort`; NaN where the model has folded over.
 
@@ -211,7 +218,7 @@ def undistort(points: Array, coefficients: Array) -> Array:
             error = distort(xy, coefficients) - points
             J, _ = distort_jacobians(xy, coefficients)
             determinant = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] ** 2
-            upright = (determinant > 0) & (J[..., 0, 0] > 0)
+            upright = is_upright(J)
             step = (
                 np.stack(
                     [

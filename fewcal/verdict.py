@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
-from .distortion import surely_invertible
+from .distortion import distort_jacobians, is_upright, surely_invertible
 from .errors import InvalidInput
 
 Array = NDArray[np.float64]
@@ -25,6 +25,8 @@ DISTINCT = 1.5
 """Number of different views, copies counted once, below which there is but one."""
 OUTSIDE_PX = 1.0
 """Distance outside the image that a detector may place a corner of the image's border, pixels."""
+_STEPS_OUT = 32
+"""From the centre to the border of the image, when looking for a fold."""
 _ANGLES = np.arange(32) * np.pi / 32
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 """In which an extent is looked at, (2, 32)."""
@@ -192,7 +194,10 @@ def folds_inside(camera: Camera, image_size: tuple[int, int]) -> bool:
             [[x, y] for x in (0, w - 1) for y in np.linspace(0, h - 1, 13)],
         ]
     )
-    return bool(np.isnan(camera.unproject(border, folded="nan")).any())
+    rays = camera.unproject(border, folded="nan")
+    # Behind a fold that p1 and p2 make the model may turn a second time, so look on the way there as well.
+    xy = np.linspace(0, 1, _STEPS_OUT)[:, None, None] * (rays[:, :2] / rays[:, 2:])
+    return not is_upright(distort_jacobians(xy, camera.distortion)[0]).all()
 
 
 def _doubts(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:

@@ -224,3 +224,10 @@ def test_folds_inside() -> None:
     assert folds_inside(lens, SIZE)
     small = Camera(600.0, 600.0, 199.5, 149.5, [-0.4, 0, 0, 0, 0])
     assert not folds_inside(small, (400, 300)), "365 px reach beyond these corners"
+
+
+def test_a_fold_on_the_way_to_the_border_is_found_where_the_border_itself_has_rays() -> None:
+    lens = Camera(348.0, 347.0, 645.0, 503.0, [-0.14310552, 0.00969059, -0.0124726, 0.00268553, 0.0])
+    assert folds_inside(lens, SIZE)
+    straight = Camera(348.0, 347.0, 645.0, 503.0, [-0.14310552, 0.00969059, 0.0, 0.0, 0.0])
+    assert not folds_inside(straight, SIZE), "p1 and p2 make the fold"

@@ -28,7 +28,9 @@ from .marker_geometry import local_frames
 from .marker_placement import (
     MIN_VOTES,
     Layout,
+    Placement,
     corners_of_squares,
+    looks_so,
     place_by_likeness,
     place_by_numbers,
     turned,
@@ -44,6 +46,9 @@ MIN_CORNERS = 4
 """Fewest linked corners that are of interest: one square."""
 MAX_CHAINS = 8
 """Chains of corners that are looked at, those of most corners first; what covers a board parts it in some."""
+TELLING_ROWS = 2
+"""Rows between two markers from which their numbers tell how wide the board is: boards of seven and of eight
+squares have four markers in the first row."""
 MIN_LINKED = 9
 """Linked corners of squares that are worth a look at a finer copy: those of four squares."""
 SMALL_SQUARE_PX = 8.0
@@ -232,10 +237,15 @@ def _with_border(grey: GreyImage, chains: list[_Chain], border: int, layout: Lay
 def _part(layout: Layout, border: int, chain: _Chain, ids: Indices, turns: Indices, levels: Array) -> _Part:
     """Place one chain, given the markers in its squares, -1 for none, and how bright their bits are."""
     read = ids >= 0
+    rest = chain.closed & ~read
     placement = place_by_numbers(chain.cells[read], ids[read], turns[read], layout)
     upright = turned(chain.cells[read], placement.turn)
     if placement.votes < MIN_VOTES:
         placement = place_by_likeness(chain.cells, levels, border, layout)
+    elif placement.rows < TELLING_ROWS and not (
+        placement.votes == read.sum() and looks_so(placement, chain.cells[rest], levels[rest], border, layout)
+    ):
+        placement = Placement(placement.turn)
     cells = placement.on_board(chain.cells)
     known = chain.closed & (placement.votes >= MIN_VOTES)
     known &= np.all((cells >= 0) & (cells < np.array(layout.numbers.shape[::-1])), axis=1)

@@ -78,12 +78,13 @@ class Layout:
 class Placement(NamedTuple):
     """How squares lie on a board: turned clockwise by right angles, then moved by columns and rows.
 
-    So many markers say so.
+    So many markers say so, which lie so many rows apart.
     """
 
     turn: int = 0
     offset: tuple[int, int] = (0, 0)
     votes: int = 0
+    rows: int = 0
 
     def on_board(self, cells: Indices) -> Indices:
         """Column and row on the board of squares (K, 2) of the image."""
@@ -127,9 +128,11 @@ def place_by_numbers(cells: Indices, ids: Indices, turns: Indices, layout: Layou
         return Placement(int(np.bincount(turns).argmax()))
     upright = np.stack([turned(cells[own], turn) for turn in range(4)])[turns[own], np.arange(own.sum())]
     said = np.column_stack([turns[own], place[ids[own]] - upright])
-    different, votes = np.unique(said, axis=0, return_counts=True)
-    turn, column, row = different[votes.argmax()].tolist()
-    return Placement(turn, (column, row), int(votes.max()))
+    different, which, votes = np.unique(said, axis=0, return_inverse=True, return_counts=True)
+    most = int(votes.argmax())
+    turn, column, row = different[most].tolist()
+    agreeing = place[ids[own]][which.ravel() == most]
+    return Placement(turn, (column, row), int(votes.max()), int(np.ptp(agreeing[:, 1])))
 
 
 def place_by_likeness(cells: Indices, levels: Array, border_bits: int, layout: Layout) -> Placement:
@@ -152,8 +155,7 @@ def place_by_likeness(cells: Indices, levels: Array, border_bits: int, layout: L
     best, most = Placement(), MIN_LIKENESS
     if len(cells) < MIN_COMPARED:
         return best
-    spread = levels.std(axis=(1, 2), keepdims=True)
-    levels = (levels - levels.mean(axis=(1, 2), keepdims=True)) / np.maximum(spread, 1e-9)
+    levels = _levelled(levels)
     looks = _blurred(layout.dictionary, int(layout.numbers.max()) + 1, layout.turn, border_bits)
     for turn in range(4):
         place = turned(cells, turn)
@@ -170,6 +172,31 @@ def place_by_likeness(cells: Indices, levels: Array, border_bits: int, layout: L
                     shift = (offset[0] - int(first[0]), offset[1] - int(first[1]))
                     best, most = Placement(turn, shift, int(marked.sum())), likeness
     return best
+
+
+def looks_so(placement: Placement, cells: Indices, levels: Array, border_bits: int, layout: Layout) -> bool:
+    """Whether markers that are not legible look as a placement has them, if there are any.
+
+    Parameters as for :func:`place_by_likeness`, of these markers.
+    """
+    place = placement.on_board(cells)
+    inside = np.all((place >= 0) & (place < np.array(layout.numbers.shape[::-1])), axis=1)
+    column, row = place[inside].T
+    number = layout.numbers[row, column]
+    marked = number >= 0
+    if not marked.any():
+        return True
+    looks = _blurred(layout.dictionary, int(layout.numbers.max()) + 1, layout.turn, border_bits)
+    upright = np.rot90(_levelled(levels[inside]), -placement.turn, axes=(1, 2))
+    # One or two have no less in common with each other than with what is printed.
+    return float(np.mean(upright[marked] * _levelled(looks[number[marked]]))) > MIN_LIKENESS
+
+
+def _levelled(levels: Array) -> Array:
+    """Markers (K, n, n) less their mean brightness, in units of their contrast."""
+    spread = levels.std(axis=(1, 2), keepdims=True)
+    levelled: Array = (levels - levels.mean(axis=(1, 2), keepdims=True)) / np.maximum(spread, 1e-9)
+    return levelled
 
 
 @lru_cache(maxsize=4)

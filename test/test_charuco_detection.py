@@ -152,6 +152,17 @@ def test_another_board_is_told(asked: dict[str, Any], sentence: str) -> None:
     assert re.search(sentence, str(error))
 
 
+@pytest.mark.parametrize("columns", [5, 6, 8, 9])
+@pytest.mark.parametrize("blur", [2.0, 2.4, 2.8])
+def test_a_blurred_board_of_another_width_is_not_taken_for_the_one_asked_for(
+    columns: int, blur: float
+) -> None:
+    # Two legible markers of one row lie alike on boards of any width; the others do not look so.
+    for turn in range(0, 360, 60):
+        image, _ = marker_picture(CHARUCO, 34, 35, turn, 15, conditions=Conditions(blur_px=blur))
+        assert refusal(image, replace(CHARUCO, columns=columns)).reason in ("wrong size", "no board")
+
+
 @pytest.mark.parametrize(("printed", "hint"), [(True, "add :legacy"), (False, "leave :legacy away")])
 def test_boards_printed_before_opencv_4_6_are_told(printed: bool, hint: str) -> None:
     board = Charuco(7, 6, 0.04, 0.03, "DICT_5X5_100", legacy=printed)

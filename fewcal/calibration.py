@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .adjustment import Estimate
+from .agreement import Disagreement, disagreement
 from .camera import Camera, project
 from .checks import real_array, require_kind
 from .constraints import FOCAL, PRIOR_ROWS, Priors
 from .copies import copies, share_weight
 from .departures import COUNT, lens_remainder
+from .elimination import eliminate
 from .errors import DegenerateViews, InvalidInput
 from .least_squares import Stop
 from .map_estimator import estimate_map
@@ -203,6 +205,7 @@ class _Solution:
     covariance: Array | None
     settled: dict[str, float] | None
     prior_conflicts: dict[str, float]
+    disagreement: Disagreement | None
 
 
 def _map_solution(found: Estimate) -> _Solution:
@@ -232,6 +235,7 @@ def _map_solution(found: Estimate) -> _Solution:
         model.natural_spread(theta, result.covariance[:8, :8]),
         {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)).items()},
         _worst_by_name(conflicts),
+        disagreement(result.reduced, model.size, found.sigma, found.adjustment.views.counts),
     )
 
 
@@ -269,7 +273,11 @@ def _pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alik
         of_theta = gaussian_covariance(rows, penalty) * (sigma / found.sigma) ** 2
         covariance = _propagated(of_theta, plumb_bob_jacobian(theta))
     camera = nearest_plumb_bob(theta[:5], coefficients, size)
-    return _Solution(camera, coefficients, float(theta[4]), sigma, np.zeros(COUNT), covariance, None, {})
+    reduced = eliminate(found.adjustment.rows(found.geometry, found.sigma)).camera
+    apart = disagreement(reduced, theta.size, found.sigma, found.adjustment.views.counts)
+    return _Solution(
+        camera, coefficients, float(theta[4]), sigma, np.zeros(COUNT), covariance, None, {}, apart
+    )
 
 
 def _propagated(covariance: Array, J: Array) -> Array:
@@ -299,10 +307,11 @@ def _result(
 ) -> Calibration:
     stack = found.adjustment.views
     poses = found.board_poses()
-    counts = (stack.weights > 0).sum(axis=1)
+    counts = stack.counts
     squares = _squared_errors(found, solution.camera)
     if not np.isfinite(squares).all():
         raise DegenerateViews("Without its bend the board lies behind the camera; state another prior of it.")
+    view_rms = np.sqrt(squares / counts)
     covariance = solution.covariance
     evidence = Evidence(
         rotations=poses[:, :3, :3],
@@ -319,6 +328,8 @@ def _result(
             if (solution.settled or {}).get(name, 0.0) < thresholds.settled_share
         },
         converged=found.stop != Stop.ITERATIONS,
+        view_rms=view_rms,
+        disagreement=solution.disagreement,
     )
     return Calibration(
         camera=solution.camera,
@@ -326,7 +337,7 @@ def _result(
         method=method,
         views=views,
         board_poses=tuple(poses),
-        view_rms=np.sqrt(squares / counts),
+        view_rms=view_rms,
         rms=float(np.sqrt(squares.sum() / counts.sum())),
         pixel_distortion=solution.pixel_distortion,
         skew=solution.skew,

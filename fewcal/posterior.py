@@ -34,8 +34,8 @@ class Posterior(NamedTuple):
         :class:`fewcal.scale_mixture.Moments`.
     prior_covariance : (S, S)
         What was known before the first view, the precision of every prior at its mean.
-    views : (V, S, S)
-        Information of each view.
+    reduced : (V, S + 1, S + 1)
+        Rows of each view without its pose, see :attr:`fewcal.elimination.Eliminated.camera`.
     prior : (S, S)
         Information of the priors at the mean of their precision, given the views.
     against_prior : (S,)
@@ -45,9 +45,16 @@ class Posterior(NamedTuple):
 
     covariance: Array
     prior_covariance: Array
-    views: Array
+    reduced: Array
     prior: Array
     against_prior: Array
+
+    @property
+    def views(self) -> Array:
+        """(V, S, S) information of each view."""
+        J = self.reduced[..., :-1]
+        information: Array = np.swapaxes(J, -1, -2) @ J
+        return information
 
 
 def posterior(rows: Rows, tails: Tails) -> Posterior:
@@ -72,7 +79,7 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
     return Posterior(
         found.covariance,
         covariance_from_rows(normal),
-        np.swapaxes(J, -1, -2) @ J,
+        reduced,
         normal.T @ (precision[:, None] * normal),
         contradictions(data, r.ravel(), tails, found.covariance)[-len(normal) :],
     )

@@ -14,6 +14,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
+from .agreement import Disagreement
 from .camera import Camera
 from .distortion import distort_jacobians, is_upright, surely_invertible
 from .errors import InvalidInput
@@ -23,6 +24,8 @@ Array = NDArray[np.float64]
 
 DISTINCT = 1.5
 """Number of different views, copies counted once, below which there is but one."""
+ODD = 3.0
+"""How many times as far a view misses as all others, from which on it is named."""
 OUTSIDE_PX = 1.0
 """Distance outside the image that a detector may place a corner of the image's border, pixels."""
 _STEPS_OUT = 32
@@ -53,6 +56,8 @@ class Thresholds:
         with one prior, one in 23 cameras lies 2.5 out.
     settled_share : float
         Share determined by the data from which a conflict with the prior no longer matters.
+    disagreement : float
+        Largest ratio of what views lose by sharing a camera to what their own scatter foretells.
     """
 
     focal_std: float = 0.02
@@ -62,6 +67,7 @@ class Thresholds:
     sigma_px: float = 4.0
     conflict: float = 2.5
     settled_share: float = 0.99
+    disagreement: float = 2.0
 
     def __post_init__(self) -> None:
         # Infinity is a threshold that nothing reaches.
@@ -104,6 +110,9 @@ class Evidence:
     conflicts : dict
         Residual of each prior in standard deviations, of those that the data did not settle.
     converged : bool
+    view_rms : (V,) root mean square of the residuals of each view, pixels
+    disagreement : Disagreement or None
+        Of the views; None where it cannot be told.
     """
 
     rotations: Array
@@ -116,13 +125,17 @@ class Evidence:
     focal_std: float | None
     conflicts: dict[str, float]
     converged: bool
+    view_rms: Array
+    disagreement: Disagreement | None = None
 
 
 def judge(evidence: Evidence, thresholds: Thresholds = Thresholds()) -> Verdict:
     """Decide whether a calibration is usable, and say why when it is not."""
+    misfits = tuple(_misfits(evidence, thresholds))
     reasons = (
+        *misfits,
         *degeneracies(evidence.rotations, evidence.extents, evidence.copies, thresholds),
-        *_doubts(evidence, thresholds),
+        *_doubts(evidence, thresholds, bool(misfits)),
     )
     return Verdict(not reasons, reasons)
 
@@ -200,21 +213,46 @@ def folds_inside(camera: Camera, image_size: tuple[int, int]) -> bool:
     return not is_upright(distort_jacobians(xy, camera.distortion)[0]).all()
 
 
-def _doubts(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
+def _misfits(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
+    if evidence.sigma_px > thresholds.sigma_px:
+        yield (
+            f"The points miss the camera by {_beyond(evidence.sigma_px)} px (one sigma), more than any board "
+            f"or lens explains; {_odd_view(evidence.view_rms)}check that points and board belong together, "
+            "the board is flat, the lens no fisheye and every prior true."
+        )
+    apart = evidence.disagreement
+    if apart is not None and apart.ratio > thresholds.disagreement:
+        most = f", view {apart.worst + 1} most" if len(evidence.view_rms) > 2 else ""
+        yield (
+            f"The views contradict each other: points that fit a camera of each view's own to "
+            f"{apart.alone_px:.2g} px are moved by {apart.together_px:.2g} px for one of all{most}; check "
+            "that all are of one camera, whose zoom, focus and image size were never changed, and of one "
+            "rigid board."
+        )
+
+
+def _odd_view(view_rms: Array) -> str:
+    """Name a view that misses far more than the others do."""
+    others = np.delete(view_rms, view_rms.argmax())
+    if len(others) < 2 or view_rms.max() < ODD * others.max():
+        return ""
+    return (
+        f"view {view_rms.argmax() + 1} misses by {view_rms.max():.2g} px, the others by up to "
+        f"{others.max():.2g} px, so leave it out, or "
+    )
+
+
+def _doubts(evidence: Evidence, thresholds: Thresholds, misfits: bool) -> Iterator[str]:
     if evidence.focal_std is None:
         yield 'The method "zhang" has no error bars, so nothing says how well the camera is known; use "map".'
     elif evidence.focal_std > thresholds.focal_std:
         asked = f"{100 * thresholds.focal_std:.2g}"
         known = f"known to {_beyond(100 * evidence.focal_std, asked)} % only"
+        # Where points do not belong there, more views are no remedy.
+        advice = "" if misfits else "; add a view with the board tilted by 30 to 60 deg about another axis"
         yield (
             f"The focal length is {known if evidence.focal_std < 1 else 'not determined'}, {asked} % is "
-            "asked; add a view with the board tilted by 30 to 60 deg about another axis."
-        )
-    if evidence.sigma_px > thresholds.sigma_px:
-        yield (
-            f"The points miss the camera by {_beyond(evidence.sigma_px)} px (one sigma), more than any board "
-            "or lens explains; check that points and board belong together, the board is flat, the lens no "
-            "fisheye and every prior true."
+            f"asked{advice}."
         )
     if evidence.outside_px > OUTSIDE_PX:
         width, height = evidence.image_size

@@ -148,6 +148,12 @@ class ViewStack(NamedTuple):
     pixels: NDArray[np.float64]
     weights: NDArray[np.float64]
 
+    @property
+    def counts(self) -> NDArray[np.intp]:
+        """Points of each view, (V,)."""
+        counts: NDArray[np.intp] = np.count_nonzero(self.weights > 0, axis=-1)
+        return counts
+
     @classmethod
     def several(cls, stacks: Sequence[ViewStack]) -> ViewStack:
         """Put stacks of the same shape side by side, along a new first axis of every attribute."""

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scenes import CAMERA, SIZE, pose
 
+from fewcal.agreement import Disagreement
 from fewcal.camera import Camera
 from fewcal.errors import InvalidInput
 from fewcal.verdict import (
@@ -40,6 +41,8 @@ SOUND = Evidence(
     focal_std=0.004,
     conflicts={"focal length": 1.0},
     converged=True,
+    view_rms=np.array([0.2, 0.3]),
+    disagreement=Disagreement(0.6, 0.2, 0.3, 1),
 )
 
 CASES: dict[str, tuple[dict[str, object], str]] = {
@@ -47,6 +50,24 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
         {"sigma_px": 4.2},
         "The points miss the camera by 4.2 px (one sigma), more than any board or lens explains; check that "
         "points and board belong together, the board is flat, the lens no fisheye and every prior true.",
+    ),
+    "a view of other points": (
+        {"sigma_px": 23.0, "view_rms": np.array([0.5, 35.3, 0.54])},
+        "The points miss the camera by 23 px (one sigma), more than any board or lens explains; view 2 "
+        "misses by 35 px, the others by up to 0.54 px, so leave it out, or check that points and board "
+        "belong together, the board is flat, the lens no fisheye and every prior true.",
+    ),
+    "two cameras": (
+        {"disagreement": Disagreement(2.3, 0.12, 1.9, 0)},
+        "The views contradict each other: points that fit a camera of each view's own to 0.12 px are moved "
+        "by 1.9 px for one of all; check that all are of one camera, whose zoom, focus and image size were "
+        "never changed, and of one rigid board.",
+    ),
+    "a view of another camera": (
+        {"disagreement": Disagreement(9.0, 0.12, 4.0, 1), "view_rms": np.ones(3)},
+        "The views contradict each other: points that fit a camera of each view's own to 0.12 px are moved "
+        "by 4 px for one of all, view 2 most; check that all are of one camera, whose zoom, focus and image "
+        "size were never changed, and of one rigid board.",
     ),
     "fronto-parallel": (
         {"rotations": rotations((2, 0), (3.2, 90))},
@@ -130,6 +151,11 @@ def test_a_sound_calibration_is_usable() -> None:
 def test_every_reason_is_given_in_its_own_case_and_no_other(case: str) -> None:
     changes, sentence = CASES[case]
     assert judge(replace(SOUND, **changes)) == Verdict(False, (sentence,))  # type: ignore[arg-type]
+
+
+def test_more_views_are_no_advice_where_points_do_not_belong_there() -> None:
+    apart = replace(SOUND, focal_std=0.03, disagreement=Disagreement(9.0, 0.12, 4.0, 1))
+    assert judge(apart).reasons[1] == "The focal length is known to 3 % only, 2 % is asked."
 
 
 def test_reasons_add_up() -> None:

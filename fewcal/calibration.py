@@ -17,7 +17,7 @@ from .camera import Camera, project
 from .checks import real_array, require_kind
 from .constraints import FOCAL, PRIOR_ROWS, Priors
 from .copies import copies, share_weight
-from .departures import COUNT, lens_remainder
+from .departures import COUNT, axial_remainder, lens_remainder
 from .elimination import eliminate
 from .errors import DegenerateViews, InvalidInput
 from .least_squares import Stop
@@ -95,15 +95,20 @@ class Calibration:
 
     @property
     def std(self) -> dict[str, float] | None:
-        """One sigma of fx, fy, cx, cy (pixels), k1, k2, p1, p2; None for zhang."""
+        """One sigma of fx, fy, cx, cy (pixels), k1, k2, p1, p2; None for zhang.
+
+        Those of fx and fy count what the lens was found to do beyond the model, which `covariance` does not:
+        `camera` suits the whole image best, and the focal length on the axis of the lens is another one.
+        """
         if self.covariance is None:
             return None
-        return dict(zip(NAMES, np.sqrt(np.diagonal(self.covariance)).tolist(), strict=True))
+        sd = _spread(self.covariance, self.camera, self.departures, self.image_size)
+        return dict(zip(NAMES, sd.tolist(), strict=True))
 
     @property
     def focal_std(self) -> float | None:
         """Relative one sigma of the focal length fx; None for zhang."""
-        return None if self.covariance is None else _focal_std(self.covariance, self.camera)
+        return None if self.std is None else self.std["fx"] / self.camera.fx
 
     @cached_property
     def tilts_deg(self) -> Array:
@@ -251,9 +256,8 @@ def _with_stated_focal(
     free = _map_solution(estimate_map(stack, size, replace(priors, focal_px=None), alike))
     assert free.covariance is not None
     mean, sd = priors.focal_px
-    off = abs(math.log(free.camera.fx / mean)) / math.hypot(
-        sd / mean, _focal_std(free.covariance, free.camera)
-    )
+    of_views = _spread(free.covariance, free.camera, free.departures, size)[0] / free.camera.fx
+    off = abs(math.log(free.camera.fx / mean)) / math.hypot(sd / mean, of_views)
     conflicts = solution.prior_conflicts
     return replace(solution, prior_conflicts={**conflicts, FOCAL: max(off, conflicts[FOCAL])})
 
@@ -321,7 +325,9 @@ def _result(
         camera=solution.camera,
         image_size=size,
         sigma_px=solution.sigma_px,
-        focal_std=None if covariance is None else _focal_std(covariance, solution.camera),
+        focal_std=None
+        if covariance is None
+        else float(_spread(covariance, solution.camera, solution.departures, size)[0]) / solution.camera.fx,
         conflicts={
             name: residual
             for name, residual in solution.prior_conflicts.items()
@@ -350,8 +356,12 @@ def _result(
     )
 
 
-def _focal_std(covariance: Array, camera: Camera) -> float:
-    return float(np.sqrt(covariance[0, 0])) / camera.fx
+def _spread(covariance: Array, camera: Camera, departures: Array, size: tuple[int, int]) -> Array:
+    """One sigma (8,) of the parameters, see :attr:`Calibration.std`."""
+    sd: Array = np.sqrt(np.diagonal(covariance))
+    axial = departures[2] * axial_remainder(size, camera.intrinsics[2:])
+    sd[:2] = np.hypot(sd[:2], axial * camera.intrinsics[:2])
+    return sd
 
 
 def _squared_errors(found: Estimate, camera: Camera) -> Array:

@@ -74,6 +74,14 @@ def lens_remainder(pixels: Array, image_size: tuple[int, int], centre: Array) ->
     return shift
 
 
+def axial_remainder(image_size: tuple[int, int], centre: Array) -> float:
+    """Relative change of the focal length on the axis by the remainder of the lens, for a coefficient of 1.
+
+    The camera beside it fits the whole image best, so that it is not the lens's on the axis.
+    """
+    return -float(_taken_over(image_size, np.clip(centre, 0, np.array(image_size)))[0])
+
+
 def _taken_over(image_size: tuple[int, int], centre: Array) -> Array:
     """Coefficients (3,) of r, r^3 and r^5 that fit r^7 best over the image."""
     size = np.array(image_size)

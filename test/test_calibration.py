@@ -14,7 +14,7 @@ from fewcal.boards import Chessboard
 from fewcal.calibration import METHODS, Calibration, calibrate
 from fewcal.camera import Camera, project_pixel_model_jacobians
 from fewcal.constraints import Priors
-from fewcal.departures import lens_remainder
+from fewcal.departures import axial_remainder, lens_remainder
 from fewcal.errors import InvalidInput
 from fewcal.posterior import NAMES
 from fewcal.verdict import Thresholds
@@ -247,7 +247,11 @@ def test_names_and_units_of_the_error_bars() -> None:
     assert found.covariance is not None
     assert found.determined is not None
     assert tuple(found.std) == NAMES
-    np.testing.assert_allclose(list(found.std.values()), np.sqrt(np.diagonal(found.covariance)))
+    sd = np.sqrt(np.diagonal(found.covariance))
+    np.testing.assert_allclose(list(found.std.values())[2:], sd[2:])
+    axial = found.departures[2] * axial_remainder(SIZE, found.camera.intrinsics[2:])
+    expected = np.hypot(sd[:2], axial * found.camera.intrinsics[:2])
+    np.testing.assert_allclose([found.std["fx"], found.std["fy"]], expected)
     assert found.focal_std == pytest.approx(found.std["fx"] / found.camera.fx)
     assert 0.0005 < found.focal_std < 0.02
     np.testing.assert_allclose(found.covariance, found.covariance.T, rtol=1e-9)
@@ -328,6 +332,16 @@ def test_a_fisheye_is_no_lens_of_this_model(field_deg: float) -> None:
     found = calibrate(fisheye_views(field_deg), SIZE)
     assert not found.verdict.usable
     assert found.prior_conflicts["remainder of the lens"] > 2.5
+
+
+@pytest.mark.parametrize("field_deg", [60, 90, 105])
+def test_the_focal_length_of_a_wide_lens_is_that_on_its_axis(field_deg: float) -> None:
+    truth = np.hypot(*SIZE) / np.radians(field_deg)
+    found = calibrate(fisheye_views(field_deg), SIZE)
+    assert found.std is not None
+    for name in ("fx", "fy"):
+        assert abs(getattr(found.camera, name) - truth) < 2 * found.std[name]
+        assert found.std[name] < 0.02 * truth
 
 
 def test_a_board_that_is_bent_too_much_is_named() -> None:

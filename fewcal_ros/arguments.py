@@ -23,10 +23,11 @@ MAX_IMAGE_SIDE = 100_000
 
 _EXIT_CODES = """
 exit codes:
-  0  calibrated and usable
-  1  calibrated but not usable: everything is written, the verdict says why
-  2  bad usage or input
-  3  no calibration possible
+   0  calibrated and usable
+   1  calibrated but not usable: everything is written, the verdict says why
+   2  bad usage or input
+   3  no calibration possible
+  70  a defect of fewcal, to be reported
 """
 
 _CALIBRATE = """

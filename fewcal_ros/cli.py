@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import signal
 import sys
@@ -87,12 +88,23 @@ def _run(arguments: Sequence[str] | None) -> int:
     return int(options.run(options))
 
 
-def _calibrate(options: argparse.Namespace) -> int:
+def _check(options: argparse.Namespace) -> None:
+    """Refuse options of `calibrate` that cannot be, alone or together."""
     if not options.max_focal_std > 0:
         raise InvalidInput("--max-focal-std must be above zero, for example 0.02 for 2 %.")
     if options.select == "first" and options.views is None:
         raise InvalidInput("--select first stops when there are enough views; say how many with --views N.")
+    if options.focal_px and options.method != "map":
+        raise InvalidInput(
+            f"--focal-px is for the method map; {options.method} uses nothing known beforehand."
+        )
+    if options.focal_px and not all(0 < value < math.inf for value in options.focal_px):
+        raise InvalidInput("--focal-px takes two numbers above zero, the focal length and its one sigma.")
     check_camera_name(options.camera_name)
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    _check(options)
     settings = Settings(
         board=parse_board(options.board),
         views=options.views,

@@ -4,19 +4,40 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+import traceback
 from typing import NoReturn
 
 INTERRUPTED = 130
 """Exit code, as a shell reports it: 128 and the number of the signal."""
+DEFECT = 70
+"""Exit code of an error in the program itself, as in sysexits.h."""
+_STDOUT, _STDERR = 1, 2
 
 
 def main() -> int:
     """Run the command, see :func:`fewcal_ros.cli.main`; an interrupt before it is imported is quiet too."""
+    _fill_closed_streams()
     signal.signal(signal.SIGINT, _end)
     from .cli import main as run
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    return run()
+    try:
+        return run()
+    except Exception:
+        # An interpreter that ends so has the exit code of a camera that is not usable.
+        traceback.print_exc()
+        print("fewcal: This is a defect of fewcal; please report it with the lines above.", file=sys.stderr)
+        return DEFECT
+
+
+def _fill_closed_streams() -> None:
+    """Let what a shell has closed (2>&-) lead nowhere: the next file to be opened would get its number."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= _STDERR:
+        pass
+    os.close(number)
+    sys.stdout = sys.stdout or open(_STDOUT, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.stderr or open(_STDERR, "w", closefd=False)  # noqa: SIM115
 
 
 def _end(*_: object) -> NoReturn:

@@ -141,6 +141,9 @@ def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome
         chosen, together = _choose(views, size, settings, settings.views)
     rejected["not selected"] = len(views) - len(chosen)
     calibration = calibrate(chosen, size, settings.method, settings.priors, settings.thresholds)
+    if together is not None and settings.priors.focal_px is not None:  # what was stated is no view
+        priors = replace(settings.priors, focal_px=None)
+        together = calibrate(together.views, size, "map", priors, settings.thresholds)
     if together is not None and (contradiction := _contradiction(calibration, together, settings.thresholds)):
         calibration = _with_remark(calibration, contradiction, usable=False)
     if in_motion := sum(view in moving.get(size, []) for view in chosen):

@@ -6,6 +6,7 @@ import json
 import os
 import pty
 import select
+import shlex
 import shutil
 import signal
 import subprocess
@@ -261,6 +262,16 @@ def test_a_known_lens_narrows_the_answer(run: Any, flat_image: str) -> None:
     assert result.content["std"]["fx"] == pytest.approx(6, rel=0.1)
 
 
+@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-", "<&- 2>&-"])
+def test_streams_that_are_closed_change_nothing(good_images: list[str], tmp_path: Path, closed: str) -> None:
+    code = "import sys; from fewcal_ros.command import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, *calibrate(*good_images), "--out", tmp_path]
+    done = execute(["sh", "-c", f"{shlex.join(map(str, command))} {closed}"])
+    assert done.returncode == 0
+    assert (tmp_path / "camera.yaml").is_file()
+    assert json.loads((tmp_path / "calibration.json").read_text())["verdict"]["usable"]
+
+
 def test_what_is_usable_is_the_users_choice(run: Any, good_images: list[str]) -> None:
     result = run(*calibrate(*good_images), "--json", "--max-focal-std", "1e-6")
     assert result.code == 1
@@ -292,6 +303,7 @@ USAGE = {
     "views 1.5": [*calibrate("x.png"), "--views", "1.5"],
     "focal nan": [*calibrate("x.png"), "--focal-px", "nan", "1"],
     "focal 0": [*calibrate("x.png"), "--focal-px", "1000", "0"],
+    "focal for zhu2020": [*calibrate("x.png"), "--focal-px", "1000", "5", "--method", "zhu2020"],
     "focal alone": [*calibrate("x.png"), "--focal-px", "1000"],
     "threshold 0": [*calibrate("x.png"), "--max-focal-std", "0"],
     "threshold nan": [*calibrate("x.png"), "--max-focal-std", "nan"],

@@ -20,3 +20,13 @@ def test_it_is_the_command() -> None:
     )
     assert (code, err) == (0, "")
     assert "calibrate a camera from a recording or images" in out
+
+
+def test_a_defect_is_not_taken_for_a_camera_that_is_not_usable() -> None:
+    code, out, err = run_python(
+        "import sys, fewcal_ros.cli as cli; cli._run = lambda arguments: 1 / 0\n"
+        "from fewcal_ros.command import main; sys.exit(main())"
+    )
+    assert (code, out) == (70, "")
+    assert "ZeroDivisionError" in err
+    assert err.endswith("fewcal: This is a defect of fewcal; please report it with the lines above.\n")

@@ -14,6 +14,7 @@ from scenes import SIZE, noisy, views_at
 from fewcal.boards import Chessboard
 from fewcal.calibration import calibrate
 from fewcal.camera import Camera
+from fewcal.constraints import Priors
 from fewcal.errors import DegenerateViews
 from fewcal.selection import CANDIDATES
 from fewcal.verdict import Thresholds
@@ -67,6 +68,14 @@ def test_all_good_views_are_held_against_those_chosen(longer: float, contradicte
         assert said.startswith("5 good views together contradict those chosen: fx is 115")
         assert not _contradiction(together, chosen, Thresholds()), "the less sure contradict nobody"
         assert not _contradiction(chosen, together, Thresholds(conflict=np.inf))
+
+
+def test_a_focal_length_that_was_stated_is_not_held_against_the_views_as_if_they_said_it() -> None:
+    images = [*pair(), shown(30.0), shown(40.0, 200.0)]
+    wrong = calibrated(images, priors=Priors(focal_px=(500, 1))).calibration
+    assert not wrong.verdict.usable
+    assert any("focal length contradicts" in reason for reason in wrong.verdict.reasons)
+    assert not any("501" in reason or "500" in reason for reason in wrong.verdict.reasons)
 
 
 def test_what_most_frames_were_no_use_for_is_said() -> None:

@@ -195,7 +195,7 @@ def calibrate(
         raise DegenerateViews(
             "The points of a view lie so close together that rounding hides how; check their unit, pixels."
         ) from None
-    return _result(found, solution, views, alike, size, method, thresholds)
+    return _result(found, solution, views, alike, size, method, priors, thresholds)
 
 
 @dataclass(frozen=True)
@@ -307,6 +307,7 @@ def _result(
     alike: Array,
     size: tuple[int, int],
     method: str,
+    priors: Priors,
     thresholds: Thresholds,
 ) -> Calibration:
     stack = found.adjustment.views
@@ -336,6 +337,7 @@ def _result(
         converged=found.stop != Stop.ITERATIONS,
         view_rms=view_rms,
         disagreement=solution.disagreement,
+        stated_focal_px=priors.focal_px,
     )
     return Calibration(
         camera=solution.camera,

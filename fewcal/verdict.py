@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .agreement import Disagreement
 from .camera import Camera
+from .constraints import FOCAL
 from .distortion import distort_jacobians, is_upright, surely_invertible
 from .errors import InvalidInput
 
@@ -113,6 +114,8 @@ class Evidence:
     view_rms : (V,) root mean square of the residuals of each view, pixels
     disagreement : Disagreement or None
         Of the views; None where it cannot be told.
+    stated_focal_px : (float, float) or None
+        Focal length and one sigma that were stated.
     """
 
     rotations: Array
@@ -127,6 +130,7 @@ class Evidence:
     converged: bool
     view_rms: Array
     disagreement: Disagreement | None = None
+    stated_focal_px: tuple[float, float] | None = None
 
 
 def judge(evidence: Evidence, thresholds: Thresholds = Thresholds()) -> Verdict:
@@ -246,8 +250,8 @@ def _doubts(evidence: Evidence, thresholds: Thresholds, misfits: bool) -> Iterat
     if evidence.focal_std is None:
         yield 'The method "zhang" has no error bars, so nothing says how well the camera is known; use "map".'
     elif evidence.focal_std > thresholds.focal_std:
-        asked = f"{100 * thresholds.focal_std:.2g}"
-        known = f"known to {_beyond(100 * evidence.focal_std, asked)} % only"
+        asked = f"{100 * thresholds.focal_std:.6g}"
+        known = f"known to {_beyond(100 * evidence.focal_std, float(asked))} % only"
         # Where points do not belong there, more views are no remedy.
         advice = "" if misfits else "; add a view with the board tilted by 30 to 60 deg about another axis"
         yield (
@@ -263,9 +267,9 @@ def _doubts(evidence: Evidence, thresholds: Thresholds, misfits: bool) -> Iterat
     for name, residual in evidence.conflicts.items():
         if residual > thresholds.conflict:
             yield (
-                f"The {name} contradicts what was known beforehand by {residual:.1f} standard deviations; "
-                "check that the board is flat, its squares square, the lens no fisheye and the image not "
-                "cropped, add views, or state other priors."
+                f"The {name} contradicts {_known(name, evidence.stated_focal_px)} by {residual:.1f} standard "
+                "deviations; check that the board is flat, its squares square, the lens no fisheye and the "
+                "image neither cropped nor of another size, add views, or state other priors."
             )
     if folds_inside(evidence.camera, evidence.image_size):
         radius = evidence.camera.fold_radius_px
@@ -277,6 +281,12 @@ def _doubts(evidence: Evidence, thresholds: Thresholds, misfits: bool) -> Iterat
         )
     if not evidence.converged:
         yield "The optimisation did not converge; add a view."
+
+
+def _known(name: str, stated_focal_px: tuple[float, float] | None) -> str:
+    if name == FOCAL and stated_focal_px is not None:
+        return "the stated one of {:g} +- {:g} px".format(*stated_focal_px)
+    return "what was known beforehand"
 
 
 def _parallel(rotations: Array, thresholds: Thresholds) -> Iterator[str]:
@@ -295,10 +305,12 @@ def _parallel(rotations: Array, thresholds: Thresholds) -> Iterator[str]:
     )
 
 
-def _beyond(value: float, limit: str = "") -> str:
-    """Two digits of a number, or as many as tell it from the limit that it is beyond."""
-    digits = next(n for n in range(2, 18) if n == 17 or f"{value:.{n}g}" != limit)
-    return f"{value:.{digits}g}"
+def _beyond(value: float, limit: float = -math.inf) -> str:
+    """Two digits of a number, or as many as show that it is beyond a limit."""
+    for digits in range(2, 17):
+        if float(f"{value:.{digits}g}") > limit:
+            return f"{value:.{digits}g}"
+    return f"{value:.17g}"
 
 
 def _up(angle: float) -> str:

@@ -121,8 +121,14 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
     "conflict": (
         {"conflicts": {"aspect ratio": 4.44, "focal length": 2.4}},
         "The aspect ratio contradicts what was known beforehand by 4.4 standard deviations; check that the "
-        "board is flat, its squares square, the lens no fisheye and the image not cropped, add views, or "
-        "state other priors.",
+        "board is flat, its squares square, the lens no fisheye and the image neither cropped nor of another "
+        "size, add views, or state other priors.",
+    ),
+    "a stated focal length": (
+        {"conflicts": {"focal length": 47.0}, "stated_focal_px": (1210.5, 1.0)},
+        "The focal length contradicts the stated one of 1210.5 +- 1 px by 47.0 standard deviations; check "
+        "that the board is flat, its squares square, the lens no fisheye and the image neither cropped nor "
+        "of another size, add views, or state other priors.",
     ),
     "fold": (
         {"camera": Camera(600.0, 600.0, 639.5, 479.5, [-0.4, 0, 0, 0, 0])},
@@ -151,6 +157,19 @@ def test_a_sound_calibration_is_usable() -> None:
 def test_every_reason_is_given_in_its_own_case_and_no_other(case: str) -> None:
     changes, sentence = CASES[case]
     assert judge(replace(SOUND, **changes)) == Verdict(False, (sentence,))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("known", "asked", "said"),
+    [
+        (0.02495, 0.0249, "2.5 % only, 2.49 %"),
+        (0.02, 0.0199, "2 % only, 1.99 %"),
+        (0.0200001, 0.02, "2.00001 % only, 2 %"),
+    ],
+)
+def test_what_is_known_is_said_to_be_beyond_what_is_asked(known: float, asked: float, said: str) -> None:
+    (reason,) = judge(replace(SOUND, focal_std=known), Thresholds(focal_std=asked)).reasons
+    assert said in reason
 
 
 def test_more_views_are_no_advice_where_points_do_not_belong_there() -> None:

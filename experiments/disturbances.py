@@ -14,6 +14,7 @@ import argparse
 import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -84,6 +85,32 @@ def outlier(scene: Scene, rng: Generator, least: float, most: float) -> Array:
     return pixels
 
 
+def zoomed(scene: Scene, _: Generator, share: float) -> Array:
+    """The last of several views through another zoom."""
+    pixels, camera = scene.pixels(scene.board.points), scene.camera
+    other = replace(camera, fx=share * camera.fx, fy=share * camera.fy)
+    if len(pixels) > 1:
+        pixels[-1] = other.project(scene.board.points, scene.poses[-1])
+    return pixels
+
+
+def mixed(scene: Scene, rng: Generator) -> Array:
+    """Every other view by another camera."""
+    pixels, size = scene.pixels(scene.board.points), None
+    while size != scene.size:
+        other, size = draw_camera(rng)
+    for view in range(1, len(pixels), 2):
+        T = place(other, scene.size, scene.board, scene.poses[view, :3, :3], 0.5, rng)
+        pixels[view] = other.project(scene.board.points, T)
+    return pixels
+
+
+def stabilised(scene: Scene, rng: Generator, share: float) -> Array:
+    """Images that a stabiliser has moved, otherwise in each view."""
+    pixels = scene.pixels(scene.board.points)
+    return np.asarray(pixels + rng.normal(0, share * scene.size[0], (len(pixels), 1, 2)))
+
+
 DISTURBANCES: dict[str, Callable[[Scene, Generator], Array]] = {
     "nothing": lambda scene, _: scene.pixels(scene.board.points),
     "cubic bend": partial(bent, shape=lambda u, v: u**3 - u + v**3 - v),
@@ -98,6 +125,10 @@ DISTURBANCES: dict[str, Callable[[Scene, Generator], Array]] = {
     "r^7 5 %": partial(seventh, share=0.05),
     "r^7 30 %": partial(seventh, share=0.3),
     "alternating": alternating,
+    "zoom of one view 0.8": partial(zoomed, share=0.8),
+    "zoom of one view 0.95": partial(zoomed, share=0.95),
+    "two cameras": mixed,
+    "stabiliser 0.5 %": partial(stabilised, share=0.005),
     "outlier 1 to 5 px": partial(outlier, least=1, most=5),
     "outlier 5 to 100 px": partial(outlier, least=5, most=100),
 }
@@ -126,7 +157,10 @@ def run(job: tuple[str, int, int | None]) -> Draw:
         pixels = DISTURBANCES[name](scene, rng)
         pixels += rng.normal(0, np.exp(rng.uniform(np.log(0.03), np.log(0.15))), pixels.shape)
         seen = [fewcal.View(board.points, one) for one in pixels]
-    found = fewcal.calibrate(seen, size)
+    try:
+        found = fewcal.calibrate(seen, size)
+    except fewcal.DegenerateViews:
+        return Draw(np.inf, False)
     assert found.focal_std is not None
     return Draw(float(np.log(found.camera.fx / camera.fx)) / found.focal_std, found.verdict.usable)
 

@@ -315,7 +315,10 @@ def _result(
     counts = stack.counts
     squares = _squared_errors(found, solution.camera)
     if not np.isfinite(squares).all():
-        raise DegenerateViews("Without its bend the board lies behind the camera; state another prior of it.")
+        raise DegenerateViews(
+            "No camera suits these views: without the bend that they ask for the board lies behind it; check "
+            "that all are of one camera, whose zoom was never changed, and of one rigid board."
+        )
     view_rms = np.sqrt(squares / counts)
     covariance = solution.covariance
     evidence = Evidence(

@@ -8,7 +8,6 @@ from disturbances import DISTURBANCES, run
 from scenes import BOARD, CAMERA, SIZE, pose
 from synthetic import Scene
 
-
 OTHERS = ("two cameras", "zoom of one view 0.8")
 """Of which some views are of another camera."""
 

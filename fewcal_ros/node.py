@@ -219,9 +219,10 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
     # Results
 
     def _release(self, result: Result) -> None:
-        """Publish a camera, unless the verdict is against it."""
+        """Publish a camera, unless the verdict is against it; then that before is not published any more."""
         calibration = result.calibration
         if not calibration.verdict.usable and not self._settings.publish_unusable:
+            self._released = None
             self.get_logger().warning("Not usable, not published: " + " ".join(calibration.verdict.reasons))
             return
         self._released = self._message_of(result)
@@ -345,6 +346,8 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
     def _apply_parameters(self, changes: Sequence[Parameter]) -> None:
         self._settings = self._settings.changed({change.name: change.value for change in changes})
         self._live.configure(self._settings)
+        if self._live.status().result is None:  # what was changed speaks against it
+            self._released = None
         self._publish_diagnostics()
 
 

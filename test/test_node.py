@@ -220,6 +220,15 @@ class TestByItself:
             )
         assert infos[0].header.frame_id == "camera_optical_frame"
         assert (infos[0].width, infos[0].height) == (640, 480)
+        # What is withdrawn is not published any more.
+        assert cell.client.set(max_focal_std=1e-6).successful
+        cell.client.wait_for(level="WARN")
+        time.sleep(0.5)
+        heard = len(infos)
+        time.sleep(0.5)
+        assert len(infos) == heard
+        assert cell.client.set(max_focal_std=0.02).successful
+        wait_until(lambda: len(infos) > heard, "camera_info again")
 
     def test_camera_info_is_for_compressed_images_of_its_size_alone(self, cell):
         cell.start_node(image_transport="compressed", publish_camera_info=True)

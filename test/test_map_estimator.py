@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from scenes import CAMERA, SIZE, geometry, noisy, pose, view, views_at
 
 from fewcal.adjustment import Geometry
+from fewcal.calibration import calibrate
 from fewcal.camera import Camera
 from fewcal.constraints import Priors
 from fewcal.elimination import eliminate
 from fewcal.least_squares import Stop, minimise
-from fewcal.map_estimator import ENUMERATED_VIEWS, _arrangements, _starts, estimate_map
+from fewcal.map_estimator import ENUMERATED_VIEWS, _arrangements, _lowest, _starts, estimate_map
 from fewcal.noise import Noise
 from fewcal.parametrisation import ScaleFree
 from fewcal.prior_rows import PriorRows
@@ -173,3 +174,18 @@ def test_exact_points_are_taken_at_their_word_against_the_prior() -> None:
     assert np.exp(found.geometry.theta[0, 0]) == pytest.approx(1100, rel=1e-6)
     squares = found.adjustment.linearise(found.geometry).squares
     assert Noise.of(stack, Priors()).scatter(squares)[0] < 1e-6
+
+
+def test_four_points_that_a_camera_saw_have_a_noise() -> None:
+    (view,) = noisy(views_at((40, 30)), 0.3, 5)
+    corners = [0, 8, 45, 53]
+    found = calibrate([View(view.object_points[corners], view.image_points[corners])], SIZE)
+    assert np.isfinite(found.sigma_px)
+    assert found.focal_std is not None
+    assert found.focal_std < 0.2
+
+
+def test_the_lowest_of_each_kind_are_kept() -> None:
+    values, kinds = np.array([3.0, 1.0, 2.0, 0.0]), np.array([0, 1, 0, 1])
+    assert sorted(_lowest(values, kinds, 1).tolist()) == [2, 3]
+    assert sorted(_lowest(values, kinds, 2).tolist()) == [0, 1, 2, 3]

@@ -6,7 +6,16 @@ from numpy.typing import NDArray
 from scipy.stats import gamma, qmc
 from scipy.stats import t as student
 
-from fewcal.scale_mixture import ORDER, POINTS, Tails, _even_points, gamma_quantile, moments
+from fewcal.scale_mixture import (
+    ORDER,
+    POINTS,
+    Tails,
+    _even_points,
+    _inverted,
+    gamma_quantile,
+    moments,
+    whitened,
+)
 
 Array = NDArray[np.float64]
 
@@ -123,3 +132,17 @@ def test_almost_dependent_columns_where_normal_equations_fail() -> None:
 def test_what_nothing_holds_is_infinitely_uncertain() -> None:
     tails = Tails(np.zeros(1), np.array([[1.0, 0.0]]), np.array([0]), np.array([2.0]))
     assert np.isinf(moments(np.zeros((3, 2)), np.zeros(3), tails).covariance).all()
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 9])
+def test_many_matrices_are_inverted_at_once(size: int) -> None:
+    X = np.random.default_rng(size).normal(size=(7, size, size))
+    A = X @ np.swapaxes(X, 1, 2) + np.eye(size)
+    inverse, log_determinant = _inverted(np.moveaxis(A, 0, -1).copy())
+    np.testing.assert_allclose(np.moveaxis(inverse, -1, 0), np.linalg.inv(A), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(log_determinant, np.linalg.slogdet(A)[1], rtol=1e-9)
+
+
+def test_columns_that_depend_on_each_other_have_no_inverse() -> None:
+    J = np.array([[1.0, 2.0], [2.0, 4.0], [-1.0, -2.0]])
+    assert np.isinf(whitened(J, np.zeros(3))[1]).all()

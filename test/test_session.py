@@ -31,7 +31,7 @@ def fates(frames: list[tuple[Image, int | None]]) -> list[str]:
     return [decision.reason for decision in decisions]
 
 
-def session_of(*images: Image, **options: int) -> tuple[Session, list[Decision]]:
+def session_of(*images: Image, **options: Any) -> tuple[Session, list[Decision]]:
     session = Session(BOARD, **options)
     return session, [session.add(image) for image in images]
 
@@ -175,6 +175,12 @@ def test_one_view_gives_way_to_a_better_one() -> None:
 def test_complete_only_when_usable() -> None:
     session, _ = session_of(flat(), views_required=1)
     assert not session.calibrate().verdict.usable
+    assert not session.complete
+
+
+def test_one_usable_view_is_not_complete_where_two_are_wanted() -> None:
+    session, _ = session_of(pair()[0], views_required=2, thresholds=Thresholds(focal_std=0.5))
+    assert session.calibrate().verdict.usable
     assert not session.complete
 
 

@@ -70,6 +70,19 @@ def test_it_is_nearer_to_the_mean_of_the_posterior_than_its_highest_point(
     assert abs(at - mean) < 0.2 * spread
 
 
+@pytest.mark.parametrize(("off", "sd"), [(1.0, 0.5), (3.2, 0.5), (2.0, 0.3)])
+def test_of_two_alternatives_each_counts_as_it_is_likely(off: float, sd: float) -> None:
+    share, centre, scale = np.array([0.6, 0.4]), np.array([0.0, 4.0]), np.array([0.5, 1.0])
+    kinds = Tails(-centre / scale, 1 / scale[:, None], np.arange(2), np.full(2, 3.0), np.log(share / scale))
+    x = np.linspace(-60, 60, 240_001)
+    prior = (share * student.pdf((x[:, None] - centre) / scale, 3.0) / scale).sum(axis=1)
+    density = prior * np.exp(-0.5 * ((x - off) / sd) ** 2)
+    mean = (x * density).sum() / density.sum()
+    spread = np.sqrt(((x - mean) ** 2 * density).sum() / density.sum())
+    at = found(np.array([[1 / sd]]), np.array([-off / sd]), kinds).step[0]
+    assert abs(at - mean) < 0.25 * spread
+
+
 @given(st.integers(0, 1000))
 def test_it_does_not_depend_on_the_estimate_that_one_starts_from(seed: int) -> None:
     J, r, tails = random(seed)

@@ -269,6 +269,10 @@ def test_folds_inside() -> None:
     assert folds_inside(lens, SIZE)
     small = Camera(600.0, 600.0, 199.5, 149.5, [-0.4, 0, 0, 0, 0])
     assert not folds_inside(small, (400, 300)), "365 px reach beyond these corners"
+    off_centre = Camera(600.0, 600.0, 100.0, 150.0, [-0.4, 0, 0, 0, 0])
+    assert folds_inside(off_centre, (500, 300))
+    off_centre = Camera(600.0, 600.0, 250.0, 60.0, [-0.4, 0, 0, 0, 0])
+    assert folds_inside(off_centre, (500, 380))
 
 
 def test_a_fold_on_the_way_to_the_border_is_found_where_the_border_itself_has_rays() -> None:

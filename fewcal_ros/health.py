@@ -47,7 +47,8 @@ def judge_health(status: Status) -> tuple[Level, str]:
         count = f"{len(status.views)} of {status.parameters.views_required} views"
         return Level.WARN, f"{count}, {focal_text(status.estimate)}. {seen}".strip()
     if status.result.calibration.views != status.views:
-        known = f"{len(status.views)} views now, {focal_text(status.estimate)}"
+        left = len(status.views)
+        known = f"{left} view{'s' * (left != 1)} now, {focal_text(status.estimate)}"
         return Level.WARN, f"The views have changed since the calibration; call ~/calibrate. {known}."
     verdict = status.result.calibration.verdict
     if not verdict.usable:

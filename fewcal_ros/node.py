@@ -304,7 +304,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         except OSError as error:
             raise Refused(f"The folder {path.parent} cannot be made: {error.strerror}.") from None
         write_atomically(path, camera_info_text(info))
-        return f"Saved to {path}."
+        return f"Saved to {path.absolute()}."
 
     def _commit(self) -> str:
         return self._driver.commit(self._message_of(self._usable()))

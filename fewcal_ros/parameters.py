@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -193,6 +194,11 @@ class Parameters:
                 "use fewcal calibrate."
             )
         check_camera_name(self.camera_name)
+        if re.search(r"://|\$|\0|^\s+$", self.output_path):
+            raise InvalidInput(
+                f"output_path is {self.output_path!r}, but a plain path is wanted, without scheme or "
+                "variables; ~ is your home."
+            )
         try:
             Path(self.output_path).expanduser()
         except RuntimeError:

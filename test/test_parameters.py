@@ -78,3 +78,11 @@ def test_where_the_file_goes(tmp_path, monkeypatch):
         ("~/file.yaml", Path("/home/somebody/file.yaml")),
     ):
         assert parameters.changed({"output_path": given}).save_path == expected
+
+
+@pytest.mark.parametrize(
+    "path", ["file:///tmp/x.yaml", "package://cell/x.yaml", "$HOME/x.yaml", "a\0b", "  "]
+)
+def test_the_file_is_a_plain_path(path):
+    with pytest.raises(InvalidInput, match="a plain path is wanted, without scheme or variables"):
+        Parameters(board=BOARD, output_path=path)

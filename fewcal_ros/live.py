@@ -338,6 +338,8 @@ class LiveCalibration:
     def _decide(self, frame: Frame, capture: bool) -> tuple[Decision | None, Session]:
         """What the session says to a frame; a view that it keeps is kept."""
         before = self._session
+        if other := self._other_camera(frame.frame_id, before):
+            return Decision(False, "other camera", other), before
         session = copy.copy(before)
         arguments = frame.image, frame.stamp_ns, frame.source
         by_itself = self._parameters.auto_capture and not self._satisfied(session)
@@ -361,6 +363,16 @@ class LiveCalibration:
         if capture:
             raise Refused("The views were changed while this image was looked at; capture again.")
         return None, before
+
+    def _other_camera(self, frame_id: str, session: Session) -> str:
+        """Say that an image is of another camera than the views, if its frame_id does."""
+        known = {self._frame_ids.get(view, "") for view in session.views} - {""}
+        if not frame_id or not known or frame_id in known:
+            return ""
+        return (
+            f"The image is in frame {frame_id!r}, the views are in {' and '.join(map(repr, sorted(known)))}: "
+            "stop what else publishes on the topic, or call ~/reset and start anew."
+        )
 
     def _by_itself(self, session: Session) -> Result | None:
         """Calibrate when there are enough views, once for each set of them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -55,6 +56,8 @@ SWITCH_INTERVAL_S = 1e-3
 """After so long a thread that computes lets another one have the interpreter: an answer of a service changes
 threads several times, and would wait Python's usual 5 ms for each."""
 DIAGNOSTICS_PERIOD_S = 1.0
+REPEATED_S = 10.0
+"""The same sentence about the images is logged again after this long, seconds."""
 MANY_LOST = 30
 """Images lost on the way, and more than arrived, that are worth a warning: a second of a usual camera."""
 USAGE = """usage: fewcal_node --ros-args -p board:=chessboard:9x6:0.025 -r image:=/camera/image_raw
@@ -81,7 +84,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         super().__init__("fewcal")
         self._settings = declare_parameters(self)
         self._released: CameraInfo | None = None
-        self._problem = ""
+        self._told: dict[str, float] = {}
         self._told_loss = False
         raw = self._settings.image_transport == "raw"
         self._decode, self._size_of = (
@@ -181,21 +184,26 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         """Tell the world what became of an image; called by the worker."""
         decision = look.decision
         kept = decision is not None and decision.kept
-        if look.stream_change:
+        changed, failed = self._is_news(look.stream_change), self._is_news(look.problem)
+        if changed:
             self.get_logger().warning(look.stream_change)
-        news = kept or look.result is not None or bool(look.stream_change)
-        if look.problem and look.problem != self._problem:
+        news = kept or look.result is not None or changed or failed
+        if failed:
             self.get_logger().error(look.problem)
-            news = True
         elif decision is not None and kept:
             self.get_logger().info(decision.message)
-        self._problem = look.problem
         if look.result is not None:
             self._release(look.result)
         if news:
             self._publish_diagnostics()
         if look.frame is not None and self._annotated.get_subscription_count():
             self._publish_annotated(look, look.frame)
+
+    def _is_news(self, sentence: str) -> bool:
+        """Whether a sentence is one that was not told a moment ago; images of two kinds may take turns."""
+        now = time.monotonic()
+        self._told = {told: when for told, when in self._told.items() if now - when < REPEATED_S}
+        return bool(sentence) and self._told.setdefault(sentence, now) == now
 
     def _publish_annotated(self, look: Look, frame: Frame) -> None:
         status = self._live.status()

@@ -153,12 +153,29 @@ class TestByServices:
         assert not bench.live.status().views
 
     def test_the_frame_id_is_that_of_the_last_view_that_is_left(self, bench):
-        for frame_id, image in zip(("near", "far"), pair(), strict=True):
+        for frame_id, image in zip(("", "far"), pair(), strict=True):
             bench.frame_id = frame_id
             assert bench.capture(image).get(timeout=TIMEOUT_S).kept
         assert bench.live.calibrate().frame_id == "far"
         bench.live.remove_last()
-        assert bench.live.calibrate().frame_id == "near"
+        assert bench.live.calibrate().frame_id == ""
+
+    def test_views_are_of_one_camera(self, bench):
+        first, second = pair()
+        bench.frame_id = "left"
+        assert bench.capture(first).get(timeout=TIMEOUT_S).kept
+        bench.frame_id = "right"
+        refused = bench.capture(second).get(timeout=TIMEOUT_S)
+        assert not refused.kept
+        assert refused.message == (
+            "The image is in frame 'right', the views are in 'left': stop what else publishes on the topic, "
+            "or call ~/reset and start anew."
+        )
+        bench.frame_id = "left"
+        assert bench.capture(second).get(timeout=TIMEOUT_S).kept
+        bench.live.reset()
+        bench.frame_id = "right"
+        assert bench.capture(first).get(timeout=TIMEOUT_S).kept
 
     def test_what_the_camera_saw_last_stays_known(self, bench):
         bench.show(*[empty()] * 5)  # of which only the first is looked at, the others follow too soon

@@ -523,7 +523,12 @@ class TestState:
                 input=f"{w}x{h} {encoding} in frame {frame!r}", input_changes=str(changes)
             )
             assert "call ~/reset" in values["last input change"]
-        wait_until(lambda: sum("The images have changed" in line for line in node.err) == 3, "warnings")
+        told = lambda: sum("The images have changed" in line for line in node.err)  # noqa: E731
+        wait_until(lambda: told() == 3, "warnings")
+        for changes, frame in enumerate("abab", start=4):  # to "a" is new, and neither is a moment later
+            camera.tell(blank=[96, 48, "8UC1", frame])
+            cell.client.wait_for(input_changes=str(changes))
+        assert told() == 4
         camera.tell(blank=[96, 48, "strange", "b"])
         values = cell.client.wait_for(level="ERROR", images_unreadable="1")
         assert "The image encoding 'strange' is not supported" in values["message"]

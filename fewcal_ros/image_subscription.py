@@ -8,6 +8,7 @@ that: the old subscription serves until the new one has received its first image
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -18,8 +19,12 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
+from sensor_msgs.msg import CompressedImage
 
 from fewcal.errors import InvalidInput
+
+COMPRESSED = "/compressed"
+"""What image_transport adds to the topic of images for compressed ones."""
 
 
 class ImageSubscription:
@@ -93,12 +98,14 @@ class ImageSubscription:
             )
         if wanted in offered:
             return f"{topic} is published, but nothing arrives; check the driver, and the QoS overrides."
+        base = re.sub(f"({COMPRESSED})+$", "", topic)
+        if base != topic and _type_name(CompressedImage) in self._offered(base + COMPRESSED):
+            return f"{base}{COMPRESSED} is there; set image_transport:=compressed, and remap image to {base}."
         if offered:
             return (
                 f"{topic} carries {', '.join(sorted(offered))}, not {wanted}; remap image to another topic."
             )
-        raw = topic.removesuffix("/compressed")
-        other, transport = (f"{topic}/compressed", "compressed") if raw == topic else (raw, "raw")
+        other, transport = (topic + COMPRESSED, "compressed") if base == topic else (base, "raw")
         if self._offered(other):
             return f"Nobody publishes {topic}, but {other} is there; set image_transport:={transport}."
         return f"Nobody publishes {topic}; start the driver, or remap image to its topic."

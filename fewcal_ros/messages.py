@@ -171,7 +171,8 @@ def compressed_to_grey(msg: Any) -> GreyImage:
     Parameters
     ----------
     msg : sensor_msgs/CompressedImage
-        Holding jpeg or png; which of the two is read from the data, not from ``format``.
+        Holding jpeg or png; which of the two is read from the data, not from ``format``. That says whether
+        it is a Bayer mosaic: "bayer_rggb8; jpeg compressed ", where an encoding at the end is another one.
 
     Returns
     -------
@@ -183,7 +184,12 @@ def compressed_to_grey(msg: Any) -> GreyImage:
     InvalidInput
         When the data is no such image, cut off or damaged.
     """
-    return decode_grey(bytes(msg.data), f"The compressed image of format {msg.format!r}")
+    grey = decode_grey(bytes(msg.data), f"The compressed image of format {msg.format!r}")
+    encoding, _, rest = msg.format.partition(";")
+    mosaic = _BAYER[encoding].conversion if encoding in _BAYER else None
+    if mosaic is None or not rest.rstrip().endswith("compressed"):
+        return grey
+    return cv2.cvtColor(grey, mosaic)  # type: ignore[return-value]
 
 
 def raw_size(msg: Any) -> tuple[int, int]:

@@ -271,6 +271,17 @@ def test_colour_images_become_grey(suffix: str) -> None:
     np.testing.assert_allclose(result, bgr[..., ::-1] @ BT601, atol=3)
 
 
+@pytest.mark.parametrize("encoding", BAYER)
+def test_a_compressed_mosaic_is_one(encoding: str) -> None:
+    rgb = noise(4, depth(encoding), 24, 32, 3)
+    samples = mosaic(encoding[6:10], rgb)
+    raw = image_to_grey(message(encoding, samples[..., None]))
+    packed = encoded(".png", samples)
+    np.testing.assert_array_equal(compressed_to_grey(compressed(packed, f"{encoding}; png compressed ")), raw)
+    as_it_is = compressed_to_grey(compressed(packed, f"{encoding}; png compressed mono8"))
+    np.testing.assert_array_equal(as_it_is, samples)
+
+
 def test_exif_orientation_is_ignored() -> None:
     """The lens does not turn with the phone: calibration is in sensor pixels."""
     jpeg = encoded(".jpg", smooth())

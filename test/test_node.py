@@ -503,6 +503,14 @@ class TestState:
         client.node.create_publisher(CameraInfo, "/image", 1)
         wait_until(lambda: "carries sensor_msgs/msg/CameraInfo, not sensor_msgs/msg/Image" in said(), "type")
 
+    @pytest.mark.parametrize("transport", ["raw", "compressed"])
+    def test_a_compressed_topic_in_the_place_of_the_images_is_named(self, cell, transport):
+        cell.client.node.create_publisher(CompressedImage, "/cam/image_raw/compressed", 1)
+        cell.start_node("-r", "image:=/cam/image_raw/compressed", image_transport=transport)
+        said = lambda: cell.client.values().get("message", "")  # noqa: E731
+        advice = "set image_transport:=compressed, and remap image to /cam/image_raw."
+        wait_until(lambda: advice in said(), "advice")
+
     def test_a_driver_that_publishes_nothing_is_named(self, cell):
         cell.client.node.create_publisher(Image, "/image", 1)
         cell.start_node()

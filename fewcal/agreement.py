@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .adjustment import POSE
-from .noise import total_sigma
+from .noise import COMPUTED_PX, total_sigma
 
 Array = NDArray[np.float64]
 
 SPARE = 6
 """Rows of a view beyond the unknowns of its own, from which on its scatter says something."""
-LEAST_PX = 0.02
-"""Scatter that the corners of no camera stay below, pixels; what is less was computed."""
 
 
 class Disagreement(NamedTuple):
@@ -70,7 +68,7 @@ def disagreement(reduced: Array, own: int, sigma: float, counts: NDArray[np.intp
         return None
     squares = (sigma * reduced[telling, :, -1]) ** 2
     lost, left = squares[:, :own].sum(axis=1), squares[:, own:].sum()
-    alone = max(float(np.sqrt(left / spare[telling].sum())), LEAST_PX)
+    alone = max(float(np.sqrt(left / spare[telling].sum())), COMPUTED_PX)
     together = float(np.sqrt(lost.sum() / (own * (len(telling) - 1))))
     ratio = together / float(total_sigma(np.array(alone)))
     return Disagreement(ratio, alone, together, int(telling[lost.argmax()]))

@@ -32,7 +32,7 @@ from .least_squares import (
     solve,
     take,
 )
-from .noise import Noise
+from .noise import COMPUTED_PX, Noise
 from .parametrisation import ScaleFree
 from .planar_pose import planar_poses
 from .prior_rows import PriorRows
@@ -46,8 +46,6 @@ FOCAL_STARTS = (0.6, 1.2, 2.4, 5.0)
 """Focal lengths to start from, in max(width, height): every lens lies within a factor of 1.5 of one."""
 TRUSTING_PX = 0.01
 """Standard deviation with which data are taken at their word at first; no camera measures better."""
-COMPUTED_PX = 0.02
-"""Scatter that the corners of no camera stay below, pixels."""
 NONE = Normal(0.0, 1e-12)
 """Of a departure that there is not."""
 FOCAL_LIMITS = (0.05, 100.0)

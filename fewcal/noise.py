@@ -28,6 +28,8 @@ MODEL_ERROR_PX = 0.3
 without it are too small by half on real boards (doc/estimator.md)."""
 ABSORBED = 3.0
 """Largest ratio of the absorbed model error to the scatter that it leaves; exact data have neither."""
+COMPUTED_PX = 0.02
+"""Scatter that the corners of no camera stay below, pixels; what is less was computed."""
 
 
 class Noise(NamedTuple):

@@ -254,10 +254,8 @@ def _with_stated_focal(
     if priors.focal_px is None:
         return solution
     free = _map_solution(estimate_map(stack, size, replace(priors, focal_px=None), alike))
-    assert free.covariance is not None
     mean, sd = priors.focal_px
-    of_views = _spread(free.covariance, free.camera, free.departures, size)[0] / free.camera.fx
-    off = abs(math.log(free.camera.fx / mean)) / math.hypot(sd / mean, of_views)
+    off = abs(math.log(free.camera.fx / mean)) / math.hypot(sd / mean, _focal_std(free, size))
     conflicts = solution.prior_conflicts
     return replace(solution, prior_conflicts={**conflicts, FOCAL: max(off, conflicts[FOCAL])})
 
@@ -329,9 +327,7 @@ def _result(
         camera=solution.camera,
         image_size=size,
         sigma_px=solution.sigma_px,
-        focal_std=None
-        if covariance is None
-        else float(_spread(covariance, solution.camera, solution.departures, size)[0]) / solution.camera.fx,
+        focal_std=None if covariance is None else _focal_std(solution, size),
         conflicts={
             name: residual
             for name, residual in solution.prior_conflicts.items()
@@ -359,6 +355,12 @@ def _result(
         prior_conflicts={n: r for n, r in solution.prior_conflicts.items() if r > thresholds.conflict},
         verdict=judge(evidence, thresholds),
     )
+
+
+def _focal_std(solution: _Solution, size: tuple[int, int]) -> float:
+    assert solution.covariance is not None
+    sd = _spread(solution.covariance, solution.camera, solution.departures, size)
+    return float(sd[0]) / solution.camera.fx
 
 
 def _spread(covariance: Array, camera: Camera, departures: Array, size: tuple[int, int]) -> Array:

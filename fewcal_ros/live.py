@@ -226,6 +226,11 @@ class LiveCalibration:
             raise Refused("There is no view to remove.")
         return len(self._change(Session.remove_last).views)
 
+    @property
+    def result(self) -> Result | None:
+        """The calibration, perhaps of other views than those kept now."""
+        return self._result
+
     def current(self) -> Result:
         """The calibration, if it is of the views kept now.
 

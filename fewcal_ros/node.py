@@ -83,7 +83,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
     def __init__(self) -> None:
         super().__init__("fewcal")
         self._settings = declare_parameters(self)
-        self._released: CameraInfo | None = None
+        self._released: tuple[Result, CameraInfo] | None = None
         self._told: dict[str, float] = {}
         self._told_loss = False
         raw = self._settings.image_transport == "raw"
@@ -170,8 +170,11 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
 
     def _take_image(self, message: Any) -> None:
         self._live.offer(message)
-        info, header = self._released, message.header
-        if self._per_image is None or info is None or self._size_of(message) != (info.width, info.height):
+        if self._per_image is None or self._released is None:
+            return
+        (result, info), header = self._released, message.header
+        # What was forgotten, or followed by another camera that is not usable, is not given away any more.
+        if result is not self._live.result or self._size_of(message) != (info.width, info.height):
             return
         self._per_image.publish(self._with_header(info, header.stamp, header.frame_id))
 
@@ -227,14 +230,14 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
     # Results
 
     def _release(self, result: Result) -> None:
-        """Publish a camera, unless the verdict is against it; then that before is not published any more."""
+        """Publish a camera, unless the verdict is against it."""
         calibration = result.calibration
         if not calibration.verdict.usable and not self._settings.publish_unusable:
-            self._released = None
             self.get_logger().warning("Not usable, not published: " + " ".join(calibration.verdict.reasons))
             return
-        self._released = self._message_of(result)
-        self._camera_info.publish(self._released)
+        info = self._message_of(result)
+        self._released = result, info
+        self._camera_info.publish(info)
         self.get_logger().info(_summary(calibration))
 
     def _message_of(self, result: Result) -> CameraInfo:
@@ -291,7 +294,6 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
 
     def _reset(self) -> str:
         self._live.reset()
-        self._released = None
         return "All views and the calibration are forgotten."
 
     def _remove_last(self) -> str:
@@ -354,8 +356,6 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
     def _apply_parameters(self, changes: Sequence[Parameter]) -> None:
         self._settings = self._settings.changed({change.name: change.value for change in changes})
         self._live.configure(self._settings)
-        if self._live.status().result is None:  # what was changed speaks against it
-            self._released = None
         self._publish_diagnostics()
 
 

@@ -81,6 +81,16 @@ class _Parser(argparse.ArgumentParser):
         raise InvalidInput(f"{message}; {self.prog} --help says more.")
 
 
+class _Version(argparse.Action):
+    """Prints the version that is installed, which only who asks waits for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"fewcal {version('fewcal')}")
+        parser.exit()
+
+
 def make_parser(actions: Mapping[str, Action]) -> argparse.ArgumentParser:
     """Make the parser of the command; what it parses has the action that was asked for as its ``run``.
 
@@ -93,6 +103,7 @@ def make_parser(actions: Mapping[str, Action]) -> argparse.ArgumentParser:
         prog="fewcal",
         description="Camera calibration from one or two views of a board, with honest error bars.",
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     _add_calibrate(commands, actions)
     _add_info(commands, actions)

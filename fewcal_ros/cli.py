@@ -82,7 +82,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         options = make_parser(
             {"calibrate": _calibrate, "info": _info, "board": _board, "play": _play}
         ).parse_args(arguments)
-    except SystemExit:  # argparse has printed the help
+    except SystemExit:  # argparse has printed the help or the version
         _say("")
         return USABLE
     return int(options.run(options))
@@ -90,8 +90,8 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     """Refuse options of `calibrate` that cannot be, alone or together."""
-    if not options.max_focal_std > 0:
-        raise InvalidInput("--max-focal-std must be above zero, for example 0.02 for 2 %.")
+    if not 0 < options.max_focal_std <= 1:
+        raise InvalidInput("--max-focal-std must be above 0 and at most 1, for example 0.02 for 2 %.")
     if options.select == "first" and options.views is None:
         raise InvalidInput("--select first stops when there are enough views; say how many with --views N.")
     if options.focal_px and options.method != "map":

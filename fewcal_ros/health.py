@@ -49,7 +49,8 @@ def judge_health(status: Status) -> tuple[Level, str]:
     if status.result.calibration.views != status.views:
         left = len(status.views)
         known = f"{left} view{'s' * (left != 1)} now, {focal_text(status.estimate)}"
-        return Level.WARN, f"The views have changed since the calibration; call ~/calibrate. {known}."
+        advice = "" if status.parameters.auto_capture else "; call ~/calibrate"
+        return Level.WARN, f"The views have changed since the calibration{advice}. {known}."
     verdict = status.result.calibration.verdict
     if not verdict.usable:
         return Level.WARN, "Not usable: " + " ".join(verdict.reasons)

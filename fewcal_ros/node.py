@@ -37,7 +37,7 @@ from .annotation import RESIDUAL_SCALE, Mood, annotate
 from .driver import Driver
 from .health import Level, focal_text, health_values, judge_health
 from .image_subscription import ImageSubscription
-from .live import LiveCalibration, Look, Refused, Result, unexpected
+from .live import LiveCalibration, Look, Refused, Result, Status, unexpected
 from .messages import Frame, compressed_size, compressed_to_grey, image_to_grey, raw_size, stamp_ns
 from .outgoing import (
     camera_info_message,
@@ -57,7 +57,8 @@ SWITCH_INTERVAL_S = 1e-3
 threads several times, and would wait Python's usual 5 ms for each."""
 DIAGNOSTICS_PERIOD_S = 1.0
 REPEATED_S = 10.0
-"""The same sentence about the images is logged again after this long, seconds."""
+"""The same sentence about the images is logged again after this long, seconds, and what is waited for no more
+often than this."""
 MANY_LOST = 30
 """Images lost on the way, and more than arrived, that are worth a warning: a second of a usual camera."""
 USAGE = """usage: fewcal_node --ros-args -p board:=chessboard:9x6:0.025 -r image:=/camera/image_raw
@@ -85,6 +86,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._settings = declare_parameters(self)
         self._released: tuple[Result, CameraInfo] | None = None
         self._told: dict[str, float] = {}
+        self._told_waiting = "", time.monotonic()
         self._told_loss = False
         raw = self._settings.image_transport == "raw"
         self._decode, self._size_of = (
@@ -148,9 +150,9 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
             ("remove_last", self._remove_last, quick),
             ("save", self._save, quick),
         ):
-            self.create_service(Trigger, f"~/{name}", self._answer_with(action), callback_group=group)
+            self.create_service(Trigger, f"~/{name}", self._answer_with(name, action), callback_group=group)
 
-    def _answer_with(self, action: Callable[[], str]) -> Callable[[Any, Any], Any]:
+    def _answer_with(self, name: str, action: Callable[[], str]) -> Callable[[Any, Any], Any]:
         """A service's callback: what the action returns is the result, what it raises the reason."""
 
         def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -161,6 +163,8 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
             except Exception as error:  # it would end the node, and the views with it
                 traceback.print_exc()
                 response.message, response.success = unexpected(error), False
+            if not response.success:
+                self.get_logger().warning(f"~/{name} failed: {response.message}")
             self._publish_diagnostics()
             return response
 
@@ -195,8 +199,9 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
             self.get_logger().error(look.problem)
         elif decision is not None and kept:
             self.get_logger().info(decision.message)
-        if look.result is not None:
-            self._release(look.result)
+        if look.result is not None and not self._release(look.result):
+            reasons = " ".join(look.result.calibration.verdict.reasons)
+            self.get_logger().warning(f"Not usable, not published: {reasons}")
         if news:
             self._publish_diagnostics()
         if look.frame is not None and self._annotated.get_subscription_count():
@@ -229,16 +234,16 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
 
     # Results
 
-    def _release(self, result: Result) -> None:
-        """Publish a camera, unless the verdict is against it."""
+    def _release(self, result: Result) -> bool:
+        """Publish a camera, unless the verdict is against it, and say whether it was published."""
         calibration = result.calibration
         if not calibration.verdict.usable and not self._settings.publish_unusable:
-            self.get_logger().warning("Not usable, not published: " + " ".join(calibration.verdict.reasons))
-            return
+            return False
         info = self._message_of(result)
         self._released = result, info
         self._camera_info.publish(info)
         self.get_logger().info(_summary(calibration))
+        return True
 
     def _message_of(self, result: Result) -> CameraInfo:
         parameters = self._settings
@@ -323,14 +328,32 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
 
     def _tick(self) -> None:
         self._images.adapt()
-        lost, received = self._images.lost, self._live.status().received
+        status = self._live.status()
+        lost, received = self._images.lost, status.received
         if lost > max(received, MANY_LOST) and not self._told_loss:
             self._told_loss = True
             self.get_logger().warning(
                 f"{lost} of {lost + received} images were lost on the way here: images of this size need a "
                 "driver that publishes reliably, or larger buffers of the middleware."
             )
+        self._tell_what_is_waited_for(status)
         self._publish_diagnostics()
+
+    def _tell_what_is_waited_for(self, status: Status) -> None:
+        """Log why no image arrives, or what a calibration by itself still lacks: few watch the diagnostics."""
+        level, sentence = judge_health(status)
+        # An image that cannot be used is told of when it comes.
+        by_itself = status.parameters.auto_capture and status.result is None and level is Level.WARN
+        reason = status.silence or (sentence if by_itself else "")
+        told, when = self._told_waiting
+        if not reason:
+            self._told_waiting = "", when
+        elif reason != told and time.monotonic() - when >= REPEATED_S:
+            self._told_waiting = reason, time.monotonic()
+            if status.silence:  # one line for each, since rclpy binds a line of code to its severity
+                self.get_logger().warning(sentence)
+            else:
+                self.get_logger().info(sentence)
 
     def _publish_diagnostics(self) -> None:
         status = self._live.status()
@@ -354,8 +377,12 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         return SetParametersResult(successful=True)
 
     def _apply_parameters(self, changes: Sequence[Parameter]) -> None:
-        self._settings = self._settings.changed({change.name: change.value for change in changes})
+        before = self._settings
+        self._settings = before.changed({change.name: change.value for change in changes})
         self._live.configure(self._settings)
+        result, allowed = self._live.result, self._settings.publish_unusable and not before.publish_unusable
+        if allowed and result is not None and not result.calibration.verdict.usable:
+            self._release(result)
         self._publish_diagnostics()
 
 

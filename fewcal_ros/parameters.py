@@ -207,6 +207,10 @@ class Parameters:
             ) from None
         if (self.prior_focal_px > 0) != (self.prior_focal_std_px > 0):
             raise InvalidInput("prior.focal_px and prior.focal_std_px belong together; give both or neither.")
+        if self.prior_focal_px > 0 and self.method != "map":
+            raise InvalidInput(
+                f"prior.focal_px is for the method map; {self.method} uses nothing known beforehand."
+            )
 
     def changed(self, values: Mapping[str, Any]) -> Parameters:
         """The parameters with some values changed, by their ROS names; names that are unknown are left out.

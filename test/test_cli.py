@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -307,6 +308,7 @@ USAGE = {
     "focal alone": [*calibrate("x.png"), "--focal-px", "1000"],
     "threshold 0": [*calibrate("x.png"), "--max-focal-std", "0"],
     "threshold nan": [*calibrate("x.png"), "--max-focal-std", "nan"],
+    "threshold in per cent": [*calibrate("x.png"), "--max-focal-std", "2"],
     "info of nothing": ["info"],
     **{
         f"board {board!r}": ["calibrate", "x.png", "--board", board]
@@ -349,6 +351,11 @@ def test_help_is_complete(run: Any) -> None:
         assert word in special.out
     for code in ("0  calibrated and usable", "1  calibrated but not", "2  bad usage", "3  no calibration"):
         assert code in special.out
+
+
+def test_the_version_is_that_of_the_package(run: Any) -> None:
+    result = run("--version")
+    assert (result.code, result.out, result.err) == (0, f"fewcal {version('fewcal')}\n", "")
 
 
 NOISE = np.random.default_rng(0).bytes(5000)

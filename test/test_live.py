@@ -96,6 +96,9 @@ def test_the_same_frames_give_the_camera_of_the_session(bench):
     level, sentence = judge_health(bench.live.status())
     assert level is Level.OK, sentence
     assert "usable" in sentence
+    bench.live.remove_last()
+    level, sentence = judge_health(bench.live.status())
+    assert sentence.startswith("The views have changed since the calibration. 1 view now, "), "and no advice"
 
 
 @pytest.mark.parametrize("bench", [{"auto_capture": False}], indirect=True)
@@ -113,6 +116,7 @@ class TestByServices:
         assert result.calibration.verdict.usable
         assert result.frame_id == "camera"
         assert bench.live.remove_last() == 1
+        assert "the calibration; call ~/calibrate. 1 view now" in judge_health(bench.live.status())[1]
         with pytest.raises(Refused, match="changed since"):
             bench.live.current()
         bench.live.reset()

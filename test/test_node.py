@@ -270,8 +270,8 @@ class TestByItself:
             assert "focal length is known to" in answer.message
         assert not infos
         assert cell.client.set(publish_unusable=True).successful
-        assert not cell.client.call("calibrate").success
         wait_until(lambda: infos, "camera_info")
+        assert not cell.client.call("calibrate").success
         assert cell.client.call("save").success
         assert cell.client.set(max_focal_std=0.5).successful
         cell.client.wait_for(usable="yes", level="OK")
@@ -303,6 +303,10 @@ class TestByServices:
         answer = client.call("calibrate")
         assert not answer.success
         assert "Fronto-parallel" in answer.message
+        wait_until(
+            lambda: any("~/calibrate failed: Not usable: Fronto-parallel" in line for line in node.err),
+            "the reason in the log",
+        )
         camera.tell(hold=STILL[3])
         message = capture_when_still(cell)
         assert message.startswith("View 2 is kept.")
@@ -502,6 +506,13 @@ class TestState:
         wait_until(lambda: "set image_transport:=compressed" in said(), "the other transport")
         client.node.create_publisher(CameraInfo, "/image", 1)
         wait_until(lambda: "carries sensor_msgs/msg/CameraInfo, not sensor_msgs/msg/Image" in said(), "type")
+
+    def test_the_log_says_what_is_waited_for(self, cell):
+        node = cell.start_node()
+        logged = lambda sentence: any(sentence in line for line in node.err)  # noqa: E731
+        wait_until(lambda: logged("No image has arrived yet. Nobody publishes /image"), "a missing driver")
+        cell.start_camera().tell(blank=[64, 48, "mono8", "a"])
+        wait_until(lambda: logged("0 of 2 views, the focal length is not known yet."), "a missing board")
 
     @pytest.mark.parametrize("transport", ["raw", "compressed"])
     def test_a_compressed_topic_in_the_place_of_the_images_is_named(self, cell, transport):

@@ -43,6 +43,10 @@ def test_every_parameter_is_described():
         ({"image_transport": "theora"}, "image_transport must be one of raw, compressed"),
         ({"camera_name": "a b"}, "letters, digits and underscores"),
         ({"prior.focal_px": 500.0}, "belong together"),
+        (
+            {"prior.focal_px": 500.0, "prior.focal_std_px": 5.0, "method": "zhu2020"},
+            "prior.focal_px is for the method map; zhu2020 uses nothing known beforehand.",
+        ),
         ({"board": ""}, "The parameter board is missing"),
         ({"board": "chessboard:2x6:0.1"}, "at least 3"),
     ],

@@ -340,7 +340,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._publish_diagnostics()
 
     def _tell_what_is_waited_for(self, status: Status) -> None:
-        """Log why no image arrives, or what a calibration by itself still lacks: few watch the diagnostics."""
+        """Log why no image arrives, or what a calibration by itself still lacks; few watch /diagnostics."""
         level, sentence = judge_health(status)
         # An image that cannot be used is told of when it comes.
         by_itself = status.parameters.auto_capture and status.result is None and level is Level.WARN

@@ -32,6 +32,8 @@ PAPERS_MM = {
 """Width and height upright, ISO 216 and ANSI/ASME Y14.1; the first that is large enough is advised."""
 LARGEST_MM = 5000.0
 """A PDF page is at most 14400 points wide, 5080 mm."""
+SMALLEST_MM = 5.0
+"""Of a whole board: printers at 600 dpi draw its squares with some ten dots."""
 UNPRINTABLE_MM = 5.0
 """Office printers leave about so much white along the edges."""
 RULERS_MM = (100, 50, 20, 10)
@@ -93,6 +95,12 @@ def lay_out(board: Board, paper: str) -> Sheet:
         When there is no such paper, the board does not fit, or is nothing that is printed.
     """
     drawing = board.draw()
+    left, top, right, bottom = drawing.ink
+    if (largest := 1e3 * max(right - left, bottom - top)) < SMALLEST_MM:
+        raise InvalidInput(
+            f"{board} is {largest:.2g} mm large, which no printer draws well; lengths are in metres, 0.025 for "
+            "25 mm."
+        )
     name, upright = _paper(paper)
     size = _fitting(drawing, upright)
     if size is None:

@@ -76,6 +76,7 @@ def test_form_and_lengths_are_printed():
         ("chessboard:9x6:0.025", "200x270", "more than a sheet (200 x 270 mm) has; it fits on A4."),
         ("chessboard:9x6:0.03", "A4", "; it fits on A3."),
         ("chessboard:20x20:0.1", "A3", "not even A0 is enough, give a size such as 2150x2164"),
+        ("chessboard:9x6:0.00025", "A4", "is 2.5 mm large, which no printer draws well"),
         ("chessboard:9x6:0.025", "A6", "There is no paper 'A6'; choose from A5, A4, letter"),
         ("chessboard:9x6:0.025", "0x100", "There is no paper of 0 x 100 mm"),
         ("chessboard:9x6:0.025", "9000x100", "up to 5000 mm"),

@@ -98,8 +98,8 @@ def lay_out(board: Board, paper: str) -> Sheet:
     left, top, right, bottom = drawing.ink
     if (largest := 1e3 * max(right - left, bottom - top)) < SMALLEST_MM:
         raise InvalidInput(
-            f"{board} is {largest:.2g} mm large, which no printer draws well; lengths are in metres, 0.025 for "
-            "25 mm."
+            f"{board} is {largest:.2g} mm large, which no printer draws well; lengths are in metres, "
+            "0.025 for 25 mm."
         )
     name, upright = _paper(paper)
     size = _fitting(drawing, upright)

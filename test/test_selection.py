@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenes import SIZE, noisy, pose, view, views_at
 
 from fewcal.calibration import Calibration, calibrate
+from fewcal.camera import Camera
 from fewcal.copies import repetition
 from fewcal.parametrisation import ScaleFree
 from fewcal.posterior import projection_std
@@ -74,6 +75,25 @@ def test_projection_std_of_subsets(seed: int) -> None:
     np.testing.assert_allclose(known.projection_std(subsets), expected, rtol=1e-9)
     repeated = known.projection_std(np.array([[0, 0]]))[0]
     assert repeated < known.projection_std(np.array([[0]]))[0], "a view taken twice says more"
+
+
+def test_spread_is_the_mean_squared_error_over_the_image() -> None:
+    found, model = calibrated(TILTS[3:]), ScaleFree(SIZE)
+    theta = model.theta(np.concatenate([found.camera.intrinsics, found.camera.distortion[:4]]))
+    pixels = np.stack(np.meshgrid(*(np.linspace(0, n - 1, 9) for n in SIZE)), axis=-1).reshape(-1, 2)
+    focal, centre = np.split(found.camera.intrinsics, 2)
+    rays = np.column_stack([(pixels - centre) / focal, np.ones(81)])
+
+    def project(unknowns: Array) -> Array:
+        natural = model.natural(unknowns)
+        return Camera(*natural[:4].tolist(), np.append(natural[4:], 0.0)).project(rays)
+
+    steps = 1e-5 * np.eye(8)
+    J = np.stack([(project(theta + step) - project(theta - step)) / 2e-5 for step in steps], axis=-1)
+    spread = information(found).spread
+    np.testing.assert_allclose(spread[:8, :8], np.einsum("nki,nkj->ij", J, J) / 81, rtol=1e-6, atol=1e-3)
+    assert not spread[8:].any(), "departures do not move the camera"
+    assert not spread[:, 8:].any()
 
 
 def test_every_view_adds_to_what_is_known() -> None:

@@ -7,7 +7,7 @@ from scenes import BOARD, CAMERA, SIZE, noisy, pose
 
 import fewcal
 from fewcal.constraints import Normal, Priors
-from fewcal.departures import Departures, lens_remainder, lifts
+from fewcal.departures import Departures, axial_remainder, lens_remainder, lifts
 
 Array = NDArray[np.float64]
 
@@ -48,6 +48,14 @@ def test_no_camera_of_the_model_takes_the_remainder_over(size: tuple[int, int]) 
         assert abs(along @ r**power) < 0.05 * np.linalg.norm(along) * np.linalg.norm(r**power)
     others = np.linalg.lstsq(r[:, None] ** [1, 3, 5], along - r**7, rcond=None)
     assert others[1].sum() < 1e-20, "apart from those powers it is r^7"
+
+
+def test_a_centre_outside_the_image_counts_as_the_place_in_it_that_is_nearest() -> None:
+    outside, nearest, corner = np.array([-40.0, 1100.0]), np.array([0.0, SIZE[1]]), np.array([[[3.0], [9.0]]])
+    np.testing.assert_array_equal(
+        lens_remainder(corner, SIZE, outside), lens_remainder(corner, SIZE, nearest)
+    )
+    assert axial_remainder(SIZE, outside) == axial_remainder(SIZE, nearest)
 
 
 def test_a_view_has_the_departures_of_its_points() -> None:

@@ -113,7 +113,7 @@ class Calibration:
     @cached_property
     def tilts_deg(self) -> Array:
         """(V,) angle between each board and the image plane, degrees."""
-        return tilt_deg(np.stack(self.board_poses)[:, :3, :3])
+        return tilt_deg(np.stack(self.board_poses)[:, :3, :3] @ stack_views(self.views).plane)
 
     def projection_std(self, pixels: ArrayLike) -> Array:
         """One sigma of where a known direction projects.
@@ -320,7 +320,7 @@ def _result(
     view_rms = np.sqrt(squares / counts)
     covariance = solution.covariance
     evidence = Evidence(
-        rotations=poses[:, :3, :3],
+        rotations=found.geometry.rotation[0],
         extents=np.array([extent(view.image_points, size) for view in views]),
         copies=alike,
         outside_px=max(outside(view.image_points, size) for view in views),

@@ -23,15 +23,13 @@ from .errors import BoardNotFound, DegenerateViews, InvalidInput
 from .grey import GreyImage, as_grey
 from .selection import best_subset, information
 from .verdict import Thresholds
-from .views import View, align_views
+from .views import MIN_COMMON, View, align_views
 
 MOTION_WINDOW_NS = 500_000_000
 """Frames farther apart than this say nothing about motion: a robot took them one by one."""
 MARGIN_SQUARES = 3.0
 """Squares around the corners in which a board that has hardly moved is found again: its outer squares, which
 may be larger than most by perspective, and some of what surrounds them."""
-MIN_COMMON = 4
-"""Points that two views must both show to tell how far the board has moved: as many as fix its pose."""
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ class Evidence:
 
     Attributes
     ----------
-    rotations : (V, 3, 3) from board to camera
+    rotations : (V, 3, 3) from the axes of the board's plane, of which the third is its normal, to the camera
     extents : (V,) of each view, see :func:`extent`
     copies : (V,) views that show the board where each does, see :func:`fewcal.copies.copies`
     outside_px : float
@@ -151,7 +151,7 @@ def degeneracies(
 
     Parameters
     ----------
-    rotations : (V, 3, 3) from board to camera
+    rotations : (V, 3, 3) from the axes of the board's plane, of which the third is its normal, to the camera
     extents : (V,) of each view, see :func:`extent`
     copies : (V,) views that show the board where each does, see :func:`fewcal.copies.copies`
     thresholds : Thresholds
@@ -177,7 +177,7 @@ def degeneracies(
 
 
 def tilt_deg(rotations: Array) -> Array:
-    """Angle between board and image plane, degrees, of (..., 3, 3) rotations from board to camera."""
+    """Angle between board and image plane, degrees, of rotations (..., 3, 3) as in :class:`Evidence`."""
     angles: Array = np.degrees(np.arccos(np.clip(np.abs(rotations[..., 2, 2]), 0, 1)))
     return angles
 

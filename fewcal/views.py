@@ -23,6 +23,9 @@ UNEXPLAINED_PX = 0.1
 """What board and lens model leave unexplained at a perfectly located corner, pixels: the best residuals of
 real boards scatter by about as much. It bounds how much more one corner can count than another."""
 
+MIN_COMMON = 4
+"""Points that two views must both show to tell whether the board has moved: as many as fix its pose."""
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -118,12 +121,13 @@ def align_views(views: Sequence[View]) -> NDArray[np.float64]:
 def distances(points: NDArray[np.float64], view: int) -> NDArray[np.float64]:
     """Root mean square distance (V,) of the points that a view has in common with each, pixels.
 
-    Infinite where there are none. `points` (V, P, 2) are those of :func:`align_views`.
+    Infinite where there are fewer than :data:`MIN_COMMON`: all boards have the corner in common that they are
+    counted from. `points` (V, P, 2) are those of :func:`align_views`.
     """
     squares = np.sum((points - points[view]) ** 2, axis=2)
     common = np.isfinite(squares)
     count, total = common.sum(axis=1), np.where(common, squares, 0).sum(axis=1)
-    return np.asarray(np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.inf)))
+    return np.asarray(np.sqrt(np.where(count >= MIN_COMMON, total / np.maximum(count, 1), np.inf)))
 
 
 class ViewStack(NamedTuple):

@@ -490,19 +490,31 @@ DEGENERATE = {
 }
 
 
+PLANES = {"z = 0": [0, 1, 2], "x = 0": [2, 0, 1], "y = 0": [1, 2, 0], "mirrored": [1, 0, 2]}
+"""Coordinates of a board in the order in which it lies in other planes of its frame."""
+
+
+def in_plane(views: list[View], plane: str) -> list[View]:
+    return [View(each.object_points[:, PLANES[plane]], each.image_points) for each in views]
+
+
+@pytest.mark.parametrize("plane", PLANES)
 @pytest.mark.parametrize("reason", DEGENERATE)
-def test_degenerate_arrangements_are_named(reason: str) -> None:
-    found = calibrate(noisy([view(T) for T in DEGENERATE[reason]], 0.2, 6), SIZE)
+def test_degenerate_arrangements_are_named(reason: str, plane: str) -> None:
+    views = noisy([view(T) for T in DEGENERATE[reason]], 0.2, 6)
+    found = calibrate(in_plane(views, plane), SIZE)
     assert not found.verdict.usable
     named = [any(text.startswith(name) for text in found.verdict.reasons) for name in DEGENERATE]
     assert named == [name == reason for name in DEGENERATE]
 
 
+@pytest.mark.parametrize("plane", PLANES)
 @pytest.mark.parametrize("tilts", [FIVE[:1], FIVE[:2], ((0, 0), (35, 60)), FIVE])
-def test_sound_arrangements_are_usable(tilts: tuple[tuple[float, float], ...]) -> None:
-    found = calibrate(noisy(views_at(*tilts), 0.1, 7), SIZE)
+def test_sound_arrangements_are_usable(tilts: tuple[tuple[float, float], ...], plane: str) -> None:
+    found = calibrate(in_plane(noisy(views_at(*tilts), 0.1, 7), plane), SIZE)
     assert found.verdict.usable, found.verdict
     assert found.verdict.reasons == ()
+    np.testing.assert_allclose(found.tilts_deg, [tilt for tilt, _ in tilts], atol=1)
 
 
 def test_thresholds_can_be_changed() -> None:

@@ -73,15 +73,9 @@ def test_views_of_different_parts_are_no_copies() -> None:
 def test_a_corner_in_common_makes_no_copy() -> None:
     first, second, _ = noisy()
     # Other boards are counted from (0, 0, 0), too, which may be seen at the same place.
-    other = View(
-        0.8 * second.object_points, second.image_points - second.image_points[0] + first.image_points[0]
-    )
+    shift = first.image_points[0] - second.image_points[0]
+    other = View(0.7 * second.object_points, second.image_points + shift)
     np.testing.assert_array_equal(copies([first, other], SIZE), 1)
-    overlap = [
-        View(v.object_points[part], v.image_points[part])
-        for v, part in ((first, slice(0, 30)), (other, slice(27, 54)))
-    ]
-    np.testing.assert_array_equal(copies(overlap, SIZE), 1)
 
 
 def test_views_are_compared_by_the_points_that_they_share() -> None:

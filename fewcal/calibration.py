@@ -200,11 +200,15 @@ def calibrate(
 
 @dataclass(frozen=True)
 class _Solution:
-    """What an estimator found, in the terms of every method; `settled` is what the data determined of all."""
+    """What an estimator found, in the terms of every method; `settled` is what the data determined of all.
+
+    `unheld_px` is how far `camera` misses the points beyond what was found does, root mean square.
+    """
 
     camera: Camera
     pixel_distortion: Array
     skew: float
+    unheld_px: float
     sigma_px: float
     departures: Array
     covariance: Array | None
@@ -234,6 +238,7 @@ def _map_solution(found: Estimate) -> _Solution:
     return _Solution(
         camera,
         coefficients,
+        0.0,
         0.0,
         found.sigma,
         found.geometry.theta[0, model.size :],
@@ -275,10 +280,17 @@ def _pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alik
         of_theta = gaussian_covariance(rows, penalty) * (sigma / found.sigma) ** 2
         covariance = _propagated(of_theta, plumb_bob_jacobian(theta))
     camera = nearest_plumb_bob(theta[:5], coefficients, size)
+    counts = found.adjustment.views.counts
+    even = replace(
+        found.adjustment,
+        views=found.adjustment.views._replace(weights=(shared.views.weights > 0).astype(float)),
+    )
+    beyond = _squared_errors(found, camera).sum() - even.linearise(found.geometry).squares[0]
+    unheld = math.sqrt(max(float(beyond), 0.0) / counts.sum())
     reduced = eliminate(found.adjustment.rows(found.geometry, found.sigma)).camera
-    apart = disagreement(reduced, theta.size, found.sigma, found.adjustment.views.counts)
+    apart = disagreement(reduced, theta.size, found.sigma, counts)
     return _Solution(
-        camera, coefficients, float(theta[4]), sigma, np.zeros(COUNT), covariance, None, {}, apart
+        camera, coefficients, float(theta[4]), unheld, sigma, np.zeros(COUNT), covariance, None, {}, apart
     )
 
 
@@ -335,6 +347,7 @@ def _result(
         },
         converged=found.stop != Stop.ITERATIONS,
         view_rms=view_rms,
+        unheld_px=solution.unheld_px,
         disagreement=solution.disagreement,
         stated_focal_px=priors.focal_px,
     )

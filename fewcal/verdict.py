@@ -19,6 +19,7 @@ from .camera import Camera
 from .constraints import FOCAL
 from .distortion import distort_jacobians, is_upright, surely_invertible
 from .errors import InvalidInput
+from .views import UNEXPLAINED_PX
 
 Array = NDArray[np.float64]
 
@@ -112,6 +113,9 @@ class Evidence:
         Residual of each prior in standard deviations, of those that the data did not settle.
     converged : bool
     view_rms : (V,) root mean square of the residuals of each view, pixels
+    unheld_px : float
+        How far the camera misses the points beyond what the method found does, root mean square, pixels: a
+        skew and a distortion of pixels have no place in it.
     disagreement : Disagreement or None
         Of the views; None where it cannot be told.
     stated_focal_px : (float, float) or None
@@ -129,6 +133,7 @@ class Evidence:
     conflicts: dict[str, float]
     converged: bool
     view_rms: Array
+    unheld_px: float = 0.0
     disagreement: Disagreement | None = None
     stated_focal_px: tuple[float, float] | None = None
 
@@ -223,6 +228,11 @@ def _misfits(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
             f"The points miss the camera by {_beyond(evidence.sigma_px)} px (one sigma), more than any board "
             f"or lens explains; {_odd_view(evidence.view_rms)}check that points and board belong together, "
             "the board is flat, the lens no fisheye and every prior true."
+        )
+    if evidence.unheld_px > max(evidence.sigma_px, UNEXPLAINED_PX):
+        yield (
+            "The camera that this method found has no place in plumb_bob, whose nearest one misses the "
+            f'points by {evidence.unheld_px:.2g} px; use "map".'
         )
     apart = evidence.disagreement
     if apart is not None and apart.ratio > thresholds.disagreement:

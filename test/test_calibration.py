@@ -421,6 +421,18 @@ def test_a_cropped_image_contradicts_the_priors() -> None:
     assert any("principal point x contradicts" in reason for reason in undecided.verdict.reasons)
 
 
+def test_a_skewed_camera_is_not_given_away_as_one_without() -> None:
+    # Pixels that are longer than wide, which the paper's constraint makes up for by skew.
+    views = noisy(views_at((40, 30), (25, 100), camera=replace(CAMERA, fy=1122.0)), 0.02, 5)
+    found = calibrate(views, SIZE, "zhu2020", thresholds=Thresholds(focal_std=1.0))
+    assert abs(found.skew) > 5
+    assert found.rms > 1
+    assert not found.verdict.usable
+    assert "no place in plumb_bob" in " ".join(found.verdict.reasons)
+    held = calibrate(sound().views, SIZE, "zhu2020")
+    assert "no place in plumb_bob" not in " ".join(held.verdict.reasons)
+
+
 def test_zhang_has_no_error_bars() -> None:
     found = calibrate(noisy(views_at(*FIVE[:3], camera=RADIAL), 0.1, 3), SIZE, method="zhang")
     assert (found.std, found.focal_std, found.covariance, found.determined) == (None, None, None, None)

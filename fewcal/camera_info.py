@@ -9,6 +9,7 @@ zero.
 from __future__ import annotations
 
 import math
+import operator
 import os
 import re
 from dataclasses import dataclass
@@ -20,16 +21,17 @@ import yaml
 from numpy.typing import ArrayLike
 
 from .camera import Array, Camera
+from .checks import real_array, require_kind
 from .errors import InvalidInput
-from .files import write_atomically
+from .files import path_text, write_atomically
 
 MAX_BYTES = 64 * 1024
 """Largest file read, bytes. A camera_info file has about 800; what is much larger is something else."""
 
 _NAME = re.compile(r"[A-Za-z0-9_]+")
 """What camera_info_manager accepts as a camera name."""
-_NAME_IN_FILE = re.compile(r"[A-Za-z0-9_]+(/[A-Za-z0-9_]+)*")
-"""cameracalibrator writes the cameras of a stereo pair as narrow_stereo/left and narrow_stereo/right."""
+_UNNAMED = "unknown"
+"""What camera_calibration_parsers calls a camera whose file has no name."""
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _COUNT = re.compile(r"[0-9]{1,10}")
 
@@ -59,7 +61,7 @@ class CameraInfo:
     image_size : (int, int)
         Width and height, pixels.
     camera_name : str
-        Letters, digits and underscores; parts may be joined by slashes.
+        Any in a file; camera_info_manager accepts letters, digits and underscores alone from a driver.
     rectification : array_like, (3, 3), optional
         R: rotation into the rectified camera; the identity for a single camera, which is the default.
     projection : array_like, (3, 4), optional
@@ -68,7 +70,7 @@ class CameraInfo:
     Raises
     ------
     InvalidInput
-        When a size is not positive, a name not allowed, or an array of another shape or not finite.
+        When a size is not positive and whole, or an array of another shape or not finite.
     """
 
     camera: Camera
@@ -85,12 +87,19 @@ class CameraInfo:
         rectification: ArrayLike | None = None,
         projection: ArrayLike | None = None,
     ) -> None:
-        _check_name(camera_name, _NAME_IN_FILE)
-        width, height = (int(side) for side in image_size)
+        require_kind("camera", camera, Camera)
+        if not isinstance(camera_name, str):
+            raise InvalidInput(f"camera_name must be a text, not {camera_name!r}.")
+        try:
+            width, height = (operator.index(side) for side in image_size)
+        except (TypeError, ValueError):
+            raise InvalidInput(
+                f"The image size must be (width, height) in pixels, not {image_size!r}."
+            ) from None
         if min(width, height) <= 0:
             raise InvalidInput(f"The image size must be positive, not {width} x {height} pixels.")
-        R = np.eye(3) if rectification is None else np.array(rectification, dtype=np.float64)
-        P = np.eye(3, 4) if projection is None else np.array(projection, dtype=np.float64)
+        R = np.eye(3) if rectification is None else real_array(rectification, "rectification")
+        P = np.eye(3, 4) if projection is None else real_array(projection, "projection")
         if projection is None:
             P[:, :3] = camera.matrix
         if R.shape != (3, 3) or P.shape != (3, 4) or not (np.isfinite(R).all() and np.isfinite(P).all()):
@@ -148,7 +157,7 @@ def read_camera_info(path: str | os.PathLike[str]) -> CameraInfo:
     InvalidInput
         When the file cannot be read or is no camera_info of a plumb_bob camera; names the file and the key.
     """
-    name = os.fspath(path) or "''"
+    name = path_text(path) or "''"
     try:
         return parse_camera_info(_read_text(Path(path)))
     except InvalidInput as error:
@@ -180,7 +189,9 @@ def parse_camera_info(text: str) -> CameraInfo:
     Parameters
     ----------
     text : str
-        YAML. Four distortion coefficients are taken as k1 k2 p1 p2 with k3 = 0; unknown keys are ignored.
+        YAML. Four distortion coefficients are taken as k1 k2 p1 p2 with k3 = 0; unknown keys are ignored. As
+        camera_calibration_parsers has it, a file without a distortion_model is of plumb_bob, and one without
+        a camera_name of "unknown".
 
     Raises
     ------
@@ -189,14 +200,13 @@ def parse_camera_info(text: str) -> CameraInfo:
     """
     entries = _entries(_compose(text), "this")
     size = (_count(entries, "image_width"), _count(entries, "image_height"))
-    name = _scalar(entries, "camera_name")
-    _check_name(name, _NAME_IN_FILE)
+    name = _scalar(entries, "camera_name", default=_UNNAMED)
     K = _numbers(entries, "camera_matrix", (3, 3))
     if not (
         K[0, 0] > 0 and K[1, 1] > 0 and np.array_equal(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1])
     ):
         raise InvalidInput("camera_matrix must be [fx, 0, cx, 0, fy, cy, 0, 0, 1] with fx and fy above zero.")
-    model = _scalar(entries, "distortion_model")
+    model = _scalar(entries, "distortion_model", default=Camera.model)
     if model != Camera.model:
         raise InvalidInput(f"distortion_model is {_short(model)}, but fewcal knows {Camera.model} only.")
     distortion = _numbers(entries, "distortion_coefficients", (1, 5), (5, 1), (1, 4), (4, 1)).ravel()
@@ -214,11 +224,7 @@ def check_camera_name(name: str) -> None:
     InvalidInput
         When there is anything but letters, digits and underscores in it.
     """
-    _check_name(name, _NAME)
-
-
-def _check_name(name: str, allowed: re.Pattern[str]) -> None:
-    if not isinstance(name, str) or allowed.fullmatch(name) is None:
+    if not isinstance(name, str) or _NAME.fullmatch(name) is None:
         raise InvalidInput(
             f"camera_name must be of letters, digits and underscores only, unlike {_short(str(name))}."
         )
@@ -271,7 +277,9 @@ def _get(entries: _Entries, key: str, inside: str = "") -> yaml.Node:
     return entries[key]
 
 
-def _scalar(entries: _Entries, key: str, inside: str = "") -> str:
+def _scalar(entries: _Entries, key: str, inside: str = "", default: str | None = None) -> str:
+    if default is not None and key not in entries:
+        return default
     node = _get(entries, key, inside)
     if not isinstance(node, yaml.ScalarNode):
         raise InvalidInput(f"{inside}{key} must be a single value.")

@@ -32,11 +32,12 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None
     InvalidInput
         When the file cannot be written; what was there before is untouched then.
     """
+    name = path_text(path)
     data = content.encode() if isinstance(content, str) else content
     try:
-        if not os.fspath(path):
+        if not name:
             raise ValueError
-        target = Path(os.path.realpath(path))
+        target = Path(os.path.realpath(name))
         mode = _mode_of(target)
         temporary = target.with_name(f".fewcal-{secrets.token_hex(8)}.tmp")
         try:
@@ -48,9 +49,23 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None
             raise
         _sync_folder(target.parent)
     except OSError as error:
-        raise InvalidInput(f"{os.fspath(path)} cannot be written: {error.strerror or error}.") from None
+        raise InvalidInput(f"{name} cannot be written: {error.strerror or error}.") from None
     except ValueError:  # a path that holds a NUL, or names no file
-        raise InvalidInput(f"{os.fspath(path)!r} cannot be the name of a file.") from None
+        raise InvalidInput(f"{name!r} cannot be the name of a file.") from None
+
+
+def path_text(path: str | os.PathLike[str]) -> str:
+    """Text of a path.
+
+    Raises
+    ------
+    InvalidInput
+        When it is none.
+    """
+    text = os.fspath(path) if isinstance(path, (str, os.PathLike)) else None
+    if not isinstance(text, str):
+        raise InvalidInput(f"A file is named by a text or path, not {path!r}.")
+    return text
 
 
 def _mode_of(target: Path) -> int | None:

@@ -13,7 +13,7 @@ from .boards import (
 )
 from .calibration import Calibration, calibrate
 from .camera import Camera
-from .camera_info import read_camera_info, write_camera_info
+from .camera_info import CameraInfo, read_camera_info, write_camera_info
 from .constraints import Normal, Priors, StudentT
 from .detection import detect
 from .errors import (
@@ -25,7 +25,7 @@ from .errors import (
     ModelFoldsOver,
 )
 from .radial_prior import RadialPrior
-from .session import Session
+from .session import Criteria, Session
 from .verdict import Thresholds, Verdict
 from .views import View
 
@@ -36,9 +36,11 @@ __all__ = [
     "BoardNotFound",
     "Calibration",
     "Camera",
+    "CameraInfo",
     "Charuco",
     "Chessboard",
     "CircleGrid",
+    "Criteria",
     "DegenerateViews",
     "FewcalError",
     "ImaginaryFocalLength",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .errors import InvalidInput
 
-COUNTS = r"(?P<columns>\d{1,3})[xX](?P<rows>\d{1,3})"
+COUNTS = r"(?P<columns>[0-9]{1,3})[xX](?P<rows>[0-9]{1,3})"
 """How columns and rows are written in every text form; no camera resolves a thousand."""
 MIN_LENGTH_M, MAX_LENGTH_M = 1e-6, 10.0
 """From squares under a microscope to those on a wall; 25 was meant to be 25 mm."""

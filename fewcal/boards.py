@@ -15,7 +15,7 @@ from .aprilgrid import AprilGrid
 from .charuco import Charuco
 from .chessboard import Chessboard
 from .circle_grid import AsymmetricCircleGrid, CircleGrid
-from .detection import Detection
+from .detection import Detection, check_board
 from .drawing import Drawing
 from .errors import InvalidInput
 from .known_object import KnownObject
@@ -124,6 +124,7 @@ def pose_ambiguity(board: Board) -> str:
     The camera is none the worse, since every view has a pose of its own. But what compares the poses of
     several views, or of several cameras, takes one way up for the other.
     """
+    check_board(board)
     if board.turns == 1:
         return ""
     return (

@@ -93,6 +93,12 @@ class Calibration:
     departures: Array
     verdict: Verdict
 
+    def __post_init__(self) -> None:
+        for array in (*self.board_poses, self.view_rms, self.pixel_distortion, self.departures):
+            array.setflags(write=False)
+        if self.covariance is not None:
+            self.covariance.setflags(write=False)
+
     @property
     def std(self) -> dict[str, float] | None:
         """One sigma of fx, fy, cx, cy (pixels), k1, k2, p1, p2; None for zhang.
@@ -113,7 +119,9 @@ class Calibration:
     @cached_property
     def tilts_deg(self) -> Array:
         """(V,) angle between each board and the image plane, degrees."""
-        return tilt_deg(np.stack(self.board_poses)[:, :3, :3] @ stack_views(self.views).plane)
+        tilts = tilt_deg(np.stack(self.board_poses)[:, :3, :3] @ stack_views(self.views).plane)
+        tilts.setflags(write=False)
+        return tilts
 
     def projection_std(self, pixels: ArrayLike) -> Array:
         """One sigma of where a known direction projects.

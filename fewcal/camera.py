@@ -146,6 +146,8 @@ class Camera:
     def __post_init__(self) -> None:
         distortion = real_array(self.distortion, "distortion")
         numbers = real_array([self.fx, self.fy, self.cx, self.cy], "fx, fy, cx and cy")
+        if numbers.shape != (4,):
+            raise InvalidInput("fx, fy, cx and cy must be one number each.")
         if distortion.shape != (5,):
             raise InvalidInput("plumb_bob distortion has five coefficients: k1, k2, p1, p2, k3.")
         if not (np.isfinite(numbers).all() and np.isfinite(distortion).all() and (numbers[:2] > 0).all()):
@@ -154,6 +156,10 @@ class Camera:
         object.__setattr__(self, "distortion", distortion)
         for name, value in zip(("fx", "fy", "cx", "cy"), numbers.tolist(), strict=True):
             object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> tuple[type[Camera], tuple[object, ...]]:
+        # Through the constructor: numpy forgets that an array was read-only.
+        return Camera, (self.fx, self.fy, self.cx, self.cy, self.distortion)
 
     @property
     def intrinsics(self) -> Array:
@@ -197,7 +203,8 @@ class Camera:
         pixels : array_like, (..., 2)
             Pixels.
         folded : {"raise", "nan"}
-            What to do about pixels beyond the radius where the distortion model folds over.
+            What to do about pixels beyond the radius where the distortion model folds over. Where p1 and p2
+            are larger than those of any lens (0.02) others may be taken for such.
 
         Returns
         -------

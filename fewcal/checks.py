@@ -23,7 +23,7 @@ def real_array(values: ArrayLike, name: str) -> NDArray[np.float64]:
         When it holds what is no real number, or rows of different length; masked points are no numbers.
     """
     try:
-        if np.iscomplexobj(values) or np.ma.is_masked(values):
+        if np.ma.is_masked(values) or np.asarray(values).dtype.kind not in "biufO":
             raise TypeError
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

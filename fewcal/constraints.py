@@ -128,7 +128,9 @@ class Priors:
                 raise InvalidInput(f"Priors.{name} must be fewcal.Normal or fewcal.StudentT.")
         if self.focal_px is not None:
             require_pair("Priors.focal_px", self.focal_px, positive=True)
+            object.__setattr__(self, "focal_px", tuple(map(float, self.focal_px)))
         require_pair("Priors.corner_sigma_px", self.corner_sigma_px, positive=True)
+        object.__setattr__(self, "corner_sigma_px", tuple(map(float, self.corner_sigma_px)))
         kinds = self.radial if isinstance(self.radial, tuple) else ()
         if not kinds or not all(isinstance(each, RadialPrior) for each in kinds):
             raise InvalidInput("Priors.radial must be a tuple of one fewcal.RadialPrior or more.")

@@ -94,9 +94,19 @@ def detect_board(
     image: NDArray[Any], board: Board, source: str = "", stamp_ns: int | None = None
 ) -> Detection:
     """Find a board as :func:`detect` does, and measure how sharply the image shows it."""
+    check_board(board)
+    return board.detect(image, source, stamp_ns)
+
+
+def check_board(board: object) -> None:
+    """Refuse what is no board, such as the text form of one.
+
+    Raises
+    ------
+    InvalidInput
+    """
     if not hasattr(board, "detect"):
         raise InvalidInput(f"board must be a fewcal board, such as fewcal.parse_board gives, not {board!r}.")
-    return board.detect(image, source, stamp_ns)
 
 
 def edge_width(blur: Array) -> float:

@@ -29,6 +29,8 @@ _NEWTON_TOLERANCE = 1e-14
 _NEWTON_SHRINKS, _NEWTON_NEAR = 0.75, 1e-6
 """A Newton step is at most this share of the last one, or of the radius, where rounding decides; else the
 bracket is halved. Steps towards a fold shrink by half."""
+_FARTHEST = 1e100
+"""Undistorted radius up to which one is looked for."""
 _FOLD_START = 0.9
 """Where the search starts, as a share of the fold radius, for a point that only p1 and p2 may have pushed
 beyond the fold. Any start from 0.8 to 0.98 finds the same rays in simulated lenses."""
@@ -250,7 +252,7 @@ def _undistort_radius(distorted: Array, coefficients: Array) -> Array:
     low = np.zeros_like(distorted)
     high = np.where(np.isfinite(fold), fold, np.maximum(distorted, 1e-300))
     with np.errstate(over="ignore", invalid="ignore"):
-        while np.any(short := np.isinf(fold) & (value(high) < distorted)):
+        while np.any(short := np.isinf(fold) & (value(high) < distorted) & (high < _FARTHEST)):
             high = np.where(short, 2 * high, high)
         reachable = value(high) >= distorted
         r = np.minimum(distorted, high)

@@ -23,6 +23,9 @@ DISTANCE_OFFSET_PX = 1.0
 COLLINEAR = 1e-4
 """Ratio of the board's two extents below which its points lie on a line for every practical purpose."""
 
+UNDETERMINED = 1e-10
+"""Ratio of the second smallest singular value to the largest at which more than one homography fits."""
+
 
 def homographies(board_points: Array, image_points: Array, weights: Array) -> Array:
     """Normalised direct linear transform.
@@ -43,7 +46,7 @@ def homographies(board_points: Array, image_points: Array, weights: Array) -> Ar
     Raises
     ------
     DegenerateViews
-        When a view has fewer than four points, or its points are collinear.
+        When a view has fewer than four points, or no four of which no three are collinear.
     """
     (source, target), back = _normalise(np.stack([board_points, image_points]), weights)
     rows = np.zeros((*weights.shape[:-1], 9, 2, weights.shape[-1]))
@@ -53,7 +56,12 @@ def homographies(board_points: Array, image_points: Array, weights: Array) -> Ar
     rows[..., 8, :, :] = -target
     rows *= weights[..., None, None, :]
     rows = np.swapaxes(rows.reshape(*rows.shape[:-2], -1), -1, -2)
-    _, _, vt = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+    _, size, vt = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+    if (size[..., 7] <= UNDETERMINED * size[..., 0]).any():
+        raise DegenerateViews(
+            "The points of a view leave open how the board lies: all but one are on one line; give four of "
+            "which no three are."
+        )
     H = vt[..., 8, :].reshape(*vt.shape[:-2], 3, 3)
     # In normalised coordinates the centroid is the origin and is finite, so that h33 is not zero.
     H = H / H[..., 2:, 2:]

@@ -9,7 +9,7 @@ commas, what follows a # is a comment, and the first line may hold titles.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import real_array
 from .detection import Detection
 from .drawing import Drawing
 from .errors import InvalidInput
@@ -58,9 +59,14 @@ class KnownObject:
     coordinates: tuple[tuple[float, ...], ...]
 
     def __post_init__(self) -> None:
-        lengths = [len(point) for point in self.coordinates]
-        if len(set(self.names)) < len(self.names) or lengths != [3] * len(self.names):
+        coordinates = real_array(self.coordinates, "coordinates")
+        if not coordinates.size:
+            coordinates = coordinates.reshape(0, 3)
+        named = isinstance(self.names, Sequence) and all(isinstance(name, str) for name in self.names)
+        if not named or len(set(self.names)) < len(self.names) or coordinates.shape != (len(self.names), 3):
             raise InvalidInput(f"{self.file}: every point needs a name of its own, and x, y and z.")
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "coordinates", tuple(map(tuple, coordinates.tolist())))
         if len(self.names) < MIN_POINTS:
             raise InvalidInput(
                 f"{self.file} has {len(self.names)} points; at least {MIN_POINTS} determine where a plane is."
@@ -107,6 +113,8 @@ class KnownObject:
         InvalidInput
             When there is no file of pixels, or a line of it makes no sense.
         """
+        if not isinstance(image, np.ndarray) or image.ndim < 2:
+            raise InvalidInput(f"An image must be a numpy array of rows and columns, not {image!r:.40}.")
         if not source:
             raise InvalidInput(f"An image alone does not show {self}; give its path as the source.")
         file = pixel_file(source)

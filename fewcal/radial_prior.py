@@ -53,6 +53,9 @@ class RadialPrior:
         require_pair("RadialPrior.growth", self.growth)
         if not is_covariance(self.covariance):
             raise InvalidInput("RadialPrior.covariance must be a symmetric positive definite 2x2 matrix.")
+        for name in ("terms", "growth"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        object.__setattr__(self, "covariance", tuple(tuple(map(float, row)) for row in self.covariance))
 
 
 LENSES = (

@@ -8,17 +8,19 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .board_fields import is_count
 from .boards import Board
 from .calibration import Calibration, calibrate, check_options
 from .checks import require_kind
 from .constraints import Priors
-from .detection import Detection, detect_board
+from .detection import Detection, check_board, detect_board
 from .errors import BoardNotFound, DegenerateViews, InvalidInput
 from .grey import GreyImage, as_grey
 from .selection import best_subset, information
@@ -50,6 +52,11 @@ class Criteria:
     min_sharpness: float = 0.125
     max_motion_px: float = 2.0
     max_error_ratio: float = 0.8
+
+    def __post_init__(self) -> None:
+        # Infinity is a limit that nothing exceeds.
+        if not all(isinstance(value, Real) and float(value) >= 0 for value in astuple(self)):
+            raise InvalidInput(f"Criteria are numbers that are not negative, unlike {self!r}.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +97,8 @@ class FrameFilter:
     """
 
     def __init__(self, board: Board, criteria: Criteria = Criteria()) -> None:
+        check_board(board)
+        require_kind("criteria", criteria, Criteria)
         self.board = board
         self.criteria = criteria
         self.read = 0
@@ -235,10 +244,8 @@ class Session:
         thresholds: Thresholds = Thresholds(),
         criteria: Criteria = Criteria(),
     ) -> None:
-        if not isinstance(views_required, (int, np.integer)) or views_required < 1:
-            raise InvalidInput(f"views_required must be a whole number, at least 1, not {views_required!r}.")
+        _check_count(views_required)
         check_options(method, priors, thresholds)
-        require_kind("criteria", criteria, Criteria)
         self.frames = FrameFilter(board, criteria)
         self.views_required = views_required
         self.method = method
@@ -319,7 +326,16 @@ class Session:
         return calibrate(self._kept, self.image_size, self.method, self.priors, self.thresholds)
 
     def configure(self, views_required: int, method: str, thresholds: Thresholds, criteria: Criteria) -> None:
-        """Change what is asked for; the views stay, and are judged anew when the thresholds changed."""
+        """Change what is asked for; the views stay, and are judged anew when the thresholds changed.
+
+        Raises
+        ------
+        InvalidInput
+            When an argument is not what it should be; then nothing is changed.
+        """
+        _check_count(views_required)
+        check_options(method, self.priors, thresholds)
+        require_kind("criteria", criteria, Criteria)
         judge_anew = thresholds != self.thresholds
         self.views_required, self.method, self.thresholds = views_required, method, thresholds
         self.frames.criteria = criteria
@@ -383,6 +399,11 @@ class Session:
         self._keep([together[i] for i in chosen], size, None if full else trial)
         message = f"The expected projection error falls from {rival:.2f} to {expected:.2f} px."
         return Decision(True, "replaced" if full else "kept", message, detection)
+
+
+def _check_count(views_required: object) -> None:
+    if not is_count(views_required, 1):
+        raise InvalidInput(f"views_required must be a whole number, at least 1, not {views_required!r}.")
 
 
 def _nothing_new(detection: Detection) -> Decision:

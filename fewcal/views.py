@@ -42,7 +42,7 @@ class View:
     sigma : array_like, scalar or (N,), optional
         One standard deviation of an image point in either direction, pixels. Used as relative weights; the
         common scale is estimated with the camera. Equal for all points when left out, and then that of an
-        average point of those views that have it.
+        average point of those views that have it. A point that is given several times counts as one.
     source : str
         Where the view comes from, such as a file name or topic.
     stamp_ns : int, optional
@@ -90,6 +90,10 @@ class View:
             ("stamp_ns", stamp_ns),
         ):
             object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> tuple[type[View], tuple[object, ...]]:
+        # Through the constructor: numpy forgets that an array was read-only.
+        return View, (self.object_points, self.image_points, self.sigma, self.source, self.stamp_ns)
 
     def __len__(self) -> int:
         return len(self.object_points)
@@ -196,6 +200,8 @@ def stack_views(views: Sequence[View]) -> ViewStack:
     if given:
         squares = weights[given] ** 2
         weights[given] /= np.sqrt(squares.sum() / (squares > 0).sum())
+    for i, view in enumerate(views):
+        weights[i, : len(view)] /= np.sqrt(_times(view.object_points))
     return ViewStack(points, centroid, plane, pixels, weights)
 
 
@@ -209,12 +215,23 @@ def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def _sigmas(sigma: ArrayLike, count: int) -> NDArray[np.float64]:
-    values = _finite(sigma, "sigma").ravel()
-    if len(values) not in (1, count) or np.any(values <= 0):
+    values = np.atleast_1d(_finite(sigma, "sigma"))
+    if values.shape not in ((1,), (count,)) or np.any(values <= 0):
         raise InvalidInput("sigma must be positive pixels, one for all points or one for each.")
     values = np.broadcast_to(values, (count,)).copy()
     values.setflags(write=False)
     return values
+
+
+def _times(points: NDArray[np.float64]) -> NDArray[np.intp]:
+    """How often each of some points (N, 3) is among them, (N,)."""
+    order = np.lexsort(points.T)
+    other = np.any(points[order[1:]] != points[order[:-1]], axis=1)
+    if other.all():
+        return np.ones(len(points), dtype=np.intp)
+    which = np.empty(len(points), dtype=np.intp)
+    which[order] = np.concatenate([[0], np.cumsum(other)])
+    return np.bincount(which)[which]
 
 
 def _check_planar(points: NDArray[np.float64]) -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pickle
+
 import cv2
 import numpy as np
 import pytest
@@ -235,6 +237,7 @@ def test_shapes_are_kept(shape: tuple[int, ...]) -> None:
         (np.inf, 800, 640, 480),
         (800, 800, 640, 480, [0, 0, 0, 0]),
         (800, 800, 640, 480, [0, 0, np.nan, 0, 0]),
+        ([1, 2], [1, 2], [1, 2], [0, 2]),
     ],
 )
 def test_numbers_that_are_no_camera(arguments: tuple[float, ...]) -> None:
@@ -263,6 +266,18 @@ def test_a_camera_cannot_be_changed_through_its_arrays() -> None:
         camera.distortion[0] = 1
     camera.matrix[0, 0] = 1
     assert camera.matrix[0, 0] == 800
+
+
+def test_a_camera_that_was_pickled_cannot_be_changed_either() -> None:
+    camera = pickle.loads(pickle.dumps(Camera(500.0, 501.0, 320.0, 240.0, [-0.2, 0.1, 0, 0, 0])))
+    assert camera.intrinsics.tolist() == [500, 501, 320, 240]
+    assert not camera.distortion.flags.writeable
+
+
+def test_a_model_that_folds_beyond_all_numbers_gives_no_ray() -> None:
+    # Three coefficients so small that the fold is not found, and a pixel that the last one sends back.
+    camera = Camera(1000.0, 1000.0, 640.0, 360.0, [-1e-16, -1e-30, 0.0, 0.0, -1e-40])
+    assert np.isnan(camera.unproject([[1e12, 0.0]], folded="nan")).any()
 
 
 def test_what_is_no_array_of_numbers_is_named() -> None:

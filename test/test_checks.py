@@ -47,6 +47,8 @@ def test_what_is_not_above_zero(value: float) -> None:
         [[1, 2], [3]],
         [1 + 2j],
         np.array([1 + 0j]),
+        np.array(["2026-11-23"], "datetime64[s]"),
+        ["1", "2"],
         [10**400],
         np.ma.masked_array([1.0, 5000.0], mask=[False, True]),
     ],

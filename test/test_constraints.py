@@ -17,6 +17,7 @@ from fewcal.constraints import (
     exponential_penalty,
 )
 from fewcal.errors import InvalidInput
+from fewcal.radial_prior import RadialPrior
 
 Array = NDArray[np.float64]
 
@@ -69,6 +70,14 @@ def test_priors_can_be_replaced_one_by_one() -> None:
 def test_numbers_that_are_no_prior(build: object) -> None:
     with pytest.raises(InvalidInput):
         build()  # type: ignore[operator]
+
+
+def test_arrays_make_the_priors_that_tuples_make() -> None:
+    mean_sd = np.array([1200.0, 12.0])
+    own = Priors(focal_px=mean_sd, radial=(RadialPrior(1.5, np.eye(2), np.zeros(2)),))  # type: ignore[arg-type]
+    mean_sd[1] = -1
+    assert own == Priors(focal_px=(1200.0, 12.0), radial=(RadialPrior(1.5, ((1.0, 0.0), (0.0, 1.0))),))
+    assert len({own}) == 1
 
 
 # --- the paper's constraint --------------------------------------------------------------------------------

@@ -169,6 +169,15 @@ def test_collinear_points(angle: float) -> None:
             homographies(*broken, ONES)
 
 
+@pytest.mark.parametrize("fourth", [(1.0, 1.0), (0.0, 1.0)])
+def test_four_points_of_which_three_are_collinear(fourth: tuple[float, float]) -> None:
+    # Three on a line and one beside it, or two of them the same.
+    board = np.array([[(0.0, 0.0), (0.0, 1.0), (1.0, 0.5) if fourth == (0.0, 1.0) else (0.0, 2.0), fourth]])
+    board = np.swapaxes(board, 1, 2)
+    with pytest.raises(DegenerateViews, match="all but one are on one line"):
+        homographies(board, 100 * board + 50, np.ones((1, 4)))
+
+
 def test_a_board_seen_edge_on_is_collinear() -> None:
     # The board's plane runs through the camera's centre.
     edge_on = PINHOLE.project(BOARD.points, pose(90, 0, shift_px=(0, 20.5), camera=PINHOLE))

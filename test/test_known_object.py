@@ -139,6 +139,22 @@ def test_an_image_without_pixels_says_what_is_missing(plate: KnownObject) -> Non
         detect(IMAGE, plate)
 
 
+def test_what_is_no_image_is_refused(plate: KnownObject) -> None:
+    for wrong in ([[0]], None, np.zeros(3, np.uint8)):
+        with pytest.raises(InvalidInput, match="An image must be a numpy array"):
+            plate.detect(wrong, "photo.jpg")  # type: ignore[arg-type]
+
+
+def test_lists_make_the_object_that_tuples_make() -> None:
+    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
+    made = KnownObject("plate.txt", list("abcd"), corners)  # type: ignore[arg-type]
+    assert made == KnownObject("plate.txt", tuple("abcd"), tuple(map(tuple, corners)))
+    assert len({made}) == 1
+    for names, points in ((("a", ["b"], "c", "d"), corners), ("abcd", None), ("abcd", [["x"] * 3] * 4)):
+        with pytest.raises(InvalidInput):
+            KnownObject("plate.txt", names, points)  # type: ignore[arg-type]
+
+
 def test_a_file_of_pixels_stands_for_its_image(tmp_path: Path) -> None:
     file = write(tmp_path / "photo.pixels.csv", POINTS)
     assert pixel_file(file) == pixel_file(tmp_path / "photo.png") == file

@@ -329,8 +329,23 @@ def test_a_board_of_which_quite_another_part_is_seen_has_moved() -> None:
         ({"priors": None}, r"priors must be fewcal\.Priors, not None"),
         ({"thresholds": None}, r"thresholds must be fewcal\.Thresholds, not None"),
         ({"criteria": None}, r"criteria must be fewcal\.Criteria, not None"),
+        ({"views_required": True}, "views_required must be a whole number"),
+        ({"board": "chessboard:9x6:0.025"}, "board must be a fewcal board"),
     ],
 )
 def test_what_a_session_cannot_work_with_is_said_at_once(option: dict[str, Any], says: str) -> None:
     with pytest.raises(InvalidInput, match=says):
-        Session(BOARD, **option)
+        Session(**{"board": BOARD, **option})
+    changed = {"views_required": 2, "method": "map", "thresholds": Thresholds(), "criteria": Criteria()}
+    if set(option) <= set(changed):
+        session = Session(BOARD)
+        with pytest.raises(InvalidInput, match=says):
+            session.configure(**{**changed, **option})
+        assert (session.views_required, session.method, session.frames.criteria) == (2, "map", Criteria())
+
+
+@pytest.mark.parametrize("value", [float("nan"), -1.0, "2", None])
+def test_numbers_that_are_no_criteria(value: Any) -> None:
+    for name in ("min_sharpness", "max_motion_px", "max_error_ratio"):
+        with pytest.raises(InvalidInput, match="Criteria are numbers that are not negative"):
+            Criteria(**{name: value})

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import copy
+import pickle
 from typing import Any
 
 import cv2
@@ -64,6 +66,27 @@ def test_a_view_cannot_be_changed_through_its_arrays() -> None:
         assert array is not None
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
+
+
+def test_a_point_that_is_given_several_times_counts_as_one() -> None:
+    order = [*range(12), 3, 3, 7]
+    weights = stack_views([View(OBJECT[order], IMAGE[order], np.linspace(0.2, 0.2, 15))]).weights[0]
+    squares = np.bincount(order, weights**2)
+    np.testing.assert_allclose(squares, squares[0])
+
+
+def test_copies_are_as_read_only_as_what_they_are_copies_of() -> None:
+    view = pickle.loads(pickle.dumps(View(OBJECT, IMAGE, 0.1, "left.png", 5)))
+    assert (view.source, view.stamp_ns) == ("left.png", 5)
+    np.testing.assert_array_equal(view.image_points, IMAGE)
+    assert view.sigma is not None
+    for array in (view.object_points, copy.deepcopy(view).image_points, view.sigma):
+        assert not array.flags.writeable
+
+
+def test_sigma_has_one_row() -> None:
+    with pytest.raises(InvalidInput, match="sigma must be positive pixels"):
+        View(OBJECT, IMAGE, np.ones((3, 4)))
 
 
 @given(

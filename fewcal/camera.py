@@ -167,6 +167,12 @@ class Camera:
         return np.array([self.fx, self.fy, self.cx, self.cy])
 
     @property
+    def parameters(self) -> dict[str, float]:
+        """Every number by its name: fx, fy, cx, cy in pixels, then k1, k2, p1, p2, k3."""
+        names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+        return dict(zip(names, [*self.intrinsics.tolist(), *self.distortion.tolist()], strict=True))
+
+    @property
     def matrix(self) -> Array:
         """(3, 3) camera matrix, pixels (K of sensor_msgs/CameraInfo)."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])

@@ -114,11 +114,6 @@ def edge_width(blur: Array) -> float:
     return EDGE_WIDTH_PER_BLUR * float(np.median(blur.reshape(-1, 2), axis=0).max())
 
 
-def is_blurred(edge_width_px: float, square_px: float) -> bool:
-    """Whether the edges of one square run into each other."""
-    return edge_width_px > MAX_EDGE_SHARE * square_px
-
-
 def blurred(edge_width_px: float, square_px: float) -> BoardNotFound:
     """Say that the image is too blurred for squares of this size."""
     return BoardNotFound(

@@ -48,3 +48,8 @@ def as_grey(image: NDArray[Any]) -> GreyImage:
     code = cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
     grey: GreyImage = np.asarray(cv2.cvtColor(native, code), dtype=native.dtype)
     return grey
+
+
+def size_of(image: NDArray[Any]) -> tuple[int, int]:
+    """(width, height) of an image array, pixels."""
+    return int(image.shape[1]), int(image.shape[0])

@@ -22,7 +22,7 @@ from .checks import require_kind
 from .constraints import Priors
 from .detection import Detection, check_board, detect_board
 from .errors import BoardNotFound, DegenerateViews, InvalidInput
-from .grey import GreyImage, as_grey
+from .grey import GreyImage, as_grey, size_of
 from .selection import best_subset, information
 from .verdict import Thresholds
 from .views import MIN_COMMON, View, align_views
@@ -195,11 +195,6 @@ class FrameFilter:
     def _reject(self, reason: str, message: str, detection: Detection | None = None) -> Decision:
         self.rejected[reason] += 1
         return Decision(False, reason, message, detection)
-
-
-def size_of(image: NDArray[Any]) -> tuple[int, int]:
-    """(width, height) of an image array, pixels."""
-    return int(image.shape[1]), int(image.shape[0])
 
 
 def shift_px(view: View, other: View) -> float:
@@ -397,7 +392,7 @@ class Session:
         if not enough and expected >= self.frames.criteria.max_error_ratio * rival:
             return _nothing_new(detection)
         self._keep([together[i] for i in chosen], size, None if full else trial)
-        message = f"The expected projection error falls from {rival:.2f} to {expected:.2f} px."
+        message = f"The expected projection error is {expected:.2f} px now."
         return Decision(True, "replaced" if full else "kept", message, detection)
 
 

@@ -13,16 +13,13 @@ import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from typing import TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fewcal.errors import InvalidInput
-
-GreyImage: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
-"""(H, W) grey values."""
+from fewcal.grey import GreyImage
 
 _FLAGS = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 

@@ -101,10 +101,7 @@ def health_values(status: Status) -> Iterator[tuple[str, str]]:
 
 
 def _calibration_values(calibration: Calibration) -> Iterator[tuple[str, str]]:
-    camera = calibration.camera
-    values = dict(zip(("fx", "fy", "cx", "cy"), camera.intrinsics.tolist(), strict=True))
-    values |= dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion.tolist(), strict=True))
-    for name, value in values.items():
+    for name, value in calibration.camera.parameters.items():
         yield name, repr(value)
     for name, sd in (calibration.std or {}).items():
         yield f"{name} sd", _number(sd)

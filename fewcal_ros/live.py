@@ -174,7 +174,9 @@ class LiveCalibration:
         Raises
         ------
         Refused
-            When no image comes in time, or it cannot be read.
+            When no image comes in time, or another capture is waiting.
+        FewcalError
+            When the image cannot be read.
         """
         future: Future[Decision] = Future()
         with self._lock:

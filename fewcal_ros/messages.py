@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fewcal.errors import InvalidInput
+from fewcal.grey import GreyImage
 
-from .encoded import GreyImage, decode_grey, encoded_size
+from .encoded import decode_grey, encoded_size
 
 
 @dataclass(frozen=True, eq=False)

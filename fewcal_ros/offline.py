@@ -10,8 +10,9 @@ from fewcal.boards import Board
 from fewcal.calibration import Calibration, calibrate
 from fewcal.constraints import Priors
 from fewcal.errors import BoardNotFound, DegenerateViews
+from fewcal.grey import size_of
 from fewcal.selection import CANDIDATES, best_subset, information, thin
-from fewcal.session import FrameFilter, Session, size_of
+from fewcal.session import FrameFilter, Session
 from fewcal.verdict import Thresholds, Verdict
 from fewcal.views import View
 

@@ -9,14 +9,12 @@ from types import TracebackType
 import numpy as np
 
 from fewcal.errors import InvalidInput
+from fewcal.grey import size_of
 from fewcal.known_object import PIXEL_SUFFIXES, pixel_file
-from fewcal.session import size_of
 
 from .encoded import decode_grey
 from .messages import Frame
-from .recordings import is_recording, readable
-
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+from .recordings import IMAGE_SUFFIXES, is_recording, readable
 
 
 class PixelFrames:
@@ -107,5 +105,5 @@ def _expanded(path: Path) -> list[Path]:
 def _image_of(pixels: Path) -> Path | None:
     """Image that a file of pixels belongs to."""
     stem = pixels.name[: -len(PIXEL_SUFFIXES[0])]
-    beside = (pixels.with_name(stem + suffix) for suffix in IMAGE_SUFFIXES)
-    return next((image for image in beside if image.is_file()), None)
+    beside = (file for file in sorted(pixels.parent.iterdir()) if file.stem == stem)
+    return next((file for file in beside if file.suffix.lower() in IMAGE_SUFFIXES and file.is_file()), None)

@@ -37,7 +37,7 @@ _HEAD_BYTES = 16
 """As much of a file as is needed to tell what it is."""
 
 _RECORDING_SUFFIXES = {".mcap", ".db3", ".bag", ".zstd"}
-_IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"}
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp"}
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def is_recording(path: Path) -> bool:
 
 def is_image(path: Path) -> bool:
     """Whether a file is an image by what it begins with, or meant to be one by its name."""
-    return looks_like_image(read_head(path)) or path.suffix.lower() in _IMAGE_SUFFIXES
+    return looks_like_image(read_head(path)) or path.suffix.lower() in IMAGE_SUFFIXES
 
 
 @dataclass(frozen=True)

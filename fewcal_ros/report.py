@@ -69,9 +69,7 @@ def as_text(outcome: Outcome) -> str:
         f"({calibration.method})",
     ]
     std = calibration.std or {}
-    values = dict(zip(("fx", "fy", "cx", "cy"), camera.intrinsics.tolist(), strict=True))
-    values |= dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion.tolist(), strict=True))
-    for name, value in values.items():
+    for name, value in camera.parameters.items():
         digits, unit = (2, "px") if name in ("fx", "fy", "cx", "cy") else (5, "  ")
         error = ""
         if name in std:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from fewcal.session import size_of
+from fewcal.grey import size_of
 
 from .messages import Frame
 

@@ -8,6 +8,7 @@ from scenes import CAMERA, SIZE, noisy, views_at
 
 from fewcal.agreement import disagreement
 from fewcal.calibration import calibrate
+from fewcal.noise import COMPUTED_PX
 from fewcal.views import View
 
 TILTS = (40, 30), (35, 120), (30, -60), (20, 80), (45, 200)
@@ -60,3 +61,18 @@ def test_views_of_few_points_do_not_tell() -> None:
     several = disagreement(reduced, 8, 1.0, np.array([54, 9, 54]))
     assert several is not None
     assert several.worst != 1
+
+
+def test_two_views_lose_what_one_camera_holds() -> None:
+    reduced = np.zeros((3, 9, 9))
+    reduced[:, :8, -1], reduced[:, 8, -1] = 3.0, 50.0
+    found = disagreement(reduced[:2], 8, 0.5, np.array([54, 54]))
+    assert found is not None
+    assert found.together_px == pytest.approx(0.5 * 3 * np.sqrt(2))
+    assert found.alone_px == pytest.approx(0.5 * 50 / np.sqrt(2 * 54 - 14))
+    assert disagreement(reduced, 8, 0.5, np.array([54, 54, 9])) == found
+    assert disagreement(reduced, 8, 0.5, np.array([10, 10, 9])) is not None
+    reduced[:, 8] = 0
+    computed = disagreement(reduced, 8, 0.5, np.array([54, 54, 54]))
+    assert computed is not None
+    assert computed.alone_px == COMPUTED_PX

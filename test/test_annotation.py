@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from board_frames import pair
@@ -7,7 +9,21 @@ from board_pictures import BOARD
 from marker_pictures import CHARUCO, needs_markers, two_parts
 
 from fewcal.session import Session
-from fewcal_ros.annotation import FONT_PX, GREEN, HEIGHT_PX, LINES, RED, WHITE, WIDTH_PX, Mood, annotate
+from fewcal.views import View
+from fewcal_ros.annotation import (
+    AMBER,
+    FONT_PX,
+    GREEN,
+    HEIGHT_PX,
+    LINES,
+    RED,
+    RESIDUAL_SCALE,
+    VIOLET,
+    WHITE,
+    WIDTH_PX,
+    Mood,
+    annotate,
+)
 
 
 def count(picture, colour):
@@ -70,3 +86,22 @@ def test_narrow_images_stay_small(shape):
     picture = annotate(np.full(shape, 90, np.uint8), ["Words"], Mood.BAD)
     assert picture.shape[1] == WIDTH_PX
     assert picture.shape[0] <= HEIGHT_PX + LINES * FONT_PX + 12
+
+
+def test_residuals_point_to_where_the_corner_was_seen_a_hundred_times_as_far(session):
+    image, view, estimate = pair()[1], session.views[1], session.estimate
+    seen, scale = view.image_points.copy(), WIDTH_PX / image.shape[1]
+    last = seen[:, 0].argmax()
+    seen[last, 0] += 0.3
+    moved = replace(estimate, views=(session.views[0], View(view.object_points, seen)))
+    picture = annotate(image, [], Mood.GOOD, calibration=moved)
+    columns = np.nonzero(np.abs(picture.astype(int) - VIOLET).max(axis=2) < 40)[1]
+    assert columns.max() == pytest.approx((seen[last, 0] + 0.3 * RESIDUAL_SCALE) * scale, abs=10)
+    cropped = annotate(image[:-1], [], Mood.GOOD, calibration=moved)
+    assert count(cropped, VIOLET) == 0, "views of another size are not drawn"
+
+
+def test_a_board_that_is_not_kept_is_amber(session):
+    picture = annotate(pair()[1], [], Mood.GOOD, session.views[1], kept=False)
+    assert count(picture, AMBER) > 50 * len(session.views[1])
+    assert count(picture, GREEN) == 0

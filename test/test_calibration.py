@@ -412,6 +412,19 @@ def test_a_conflict_far_out_in_the_tail_of_a_prior_is_not_settled() -> None:
     assert any("aspect ratio contradicts" in reason for reason in found.verdict.reasons)
 
 
+def test_a_conflict_is_what_the_thresholds_say() -> None:
+    own, patient = Priors(focal_px=(600, 30)), Thresholds(conflict=1e3)
+    assert calibrate(sound().views, SIZE, priors=own).prior_conflicts
+    assert calibrate(sound().views, SIZE, priors=own, thresholds=patient).prior_conflicts == {}
+
+
+def test_one_view_outside_the_image_is_enough() -> None:
+    first, second = noisy(views_at((40, 30), (35, 120)), 0.1, 1)
+    off = View(second.object_points, second.image_points + np.array([500.0, 0.0]))
+    reasons = calibrate([first, off], SIZE).verdict.reasons
+    assert any("Points lie outside the image" in reason for reason in reasons)
+
+
 def test_a_cropped_image_contradicts_the_priors() -> None:
     # The left third of the image is cut off after the picture was taken.
     views = [View(v.object_points, v.image_points - [430, 0]) for v in noisy(views_at(*FIVE[:3]), 0.2, 5)]

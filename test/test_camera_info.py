@@ -232,11 +232,12 @@ def test_a_file_with_windows_line_ends_and_a_byte_order_mark(tmp_path: Path) -> 
     assert bits(read_camera_info(tmp_path / "camera.yaml")) == bits(parse_camera_info(PARSERS))
 
 
-def test_four_coefficients_have_k3_zero() -> None:
-    loaded = content()
-    loaded["distortion_coefficients"] = {"rows": 4, "cols": 1, "data": [0.1, 0.2, 0.3, 0.4]}
-    info = parse_camera_info(yaml.safe_dump(loaded))
-    np.testing.assert_array_equal(info.camera.distortion, [0.1, 0.2, 0.3, 0.4, 0])
+@pytest.mark.parametrize(("rows", "cols"), [(1, 4), (4, 1), (1, 5), (5, 1)])
+def test_coefficients_stand_in_a_row_or_a_column_and_of_four_k3_is_zero(rows: int, cols: int) -> None:
+    loaded, data = content(), [0.1, 0.2, 0.3, 0.4, 0.5][: rows * cols]
+    loaded["distortion_coefficients"] = {"rows": rows, "cols": cols, "data": data}
+    found = parse_camera_info(yaml.safe_dump(loaded)).camera.distortion
+    np.testing.assert_array_equal(found, np.pad(data, (0, 5 - len(data))))
 
 
 def test_unknown_keys_and_another_order_are_no_error() -> None:
@@ -336,7 +337,9 @@ def test_a_spoilt_value_is_named(key: str, value: object, sentence: str) -> None
         parse_camera_info(yaml.safe_dump(content() | {key: value}))
 
 
-@pytest.mark.parametrize(("index", "value"), [(0, 0.0), (4, -800.0), (1, 0.5), (3, 1.0), (6, 1.0), (8, 2.0)])
+@pytest.mark.parametrize(
+    ("index", "value"), [(0, 0.0), (4, -800.0), (1, 0.5), (3, 1.0), (6, 1.0), (7, 1.0), (8, 2.0)]
+)
 def test_a_matrix_that_is_no_camera(index: int, value: float) -> None:
     loaded = content()
     loaded["camera_matrix"]["data"][index] = value

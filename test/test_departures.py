@@ -134,3 +134,11 @@ def test_the_remainder_of_a_lens_is_told_from_its_distortion(coefficient: float,
 @pytest.mark.parametrize("method", ["zhu2020", "zhang"])
 def test_the_other_methods_know_no_departures(method: str) -> None:
     np.testing.assert_array_equal(fewcal.calibrate(bent_views((0.0, 0.0)), SIZE, method).departures, 0)
+
+
+@pytest.mark.parametrize("offset", [[0, 0], [60.0, -25.0], [-700.0, 0.0]])
+def test_the_remainder_changes_the_focal_length_on_the_axis(offset: list[float]) -> None:
+    centre, step = (np.array(SIZE) - 1) / 2 + offset, np.array([1e-3, 0.0])
+    at = np.clip(centre, 0, np.array(SIZE)) + step
+    shift = lens_remainder(at[None, :, None], SIZE, centre)[0, :, 0]
+    assert shift[0] / step[0] == pytest.approx(axial_remainder(SIZE, centre), rel=1e-6)

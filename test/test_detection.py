@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from board_pictures import BOARD, picture, pose
 
-from fewcal.detection import blurred, detect, detect_board, edge_width, is_blurred, outside
+from fewcal.detection import blurred, detect, detect_board, edge_width, outside
 from fewcal.errors import InvalidInput
 
 
@@ -19,8 +19,6 @@ def test_detection_asks_the_board() -> None:
 
 def test_edges_are_as_wide_as_in_the_worse_direction() -> None:
     assert edge_width(np.array([[[1.0, 2.0], [1.2, 2.0]], [[1.1, 9.0], [1.1, 2.0]]])) == 2.563 * 2.0
-    assert is_blurred(6.0, 10.0)
-    assert not is_blurred(4.0, 10.0)
     error = blurred(6.0, 10.0)
     assert error.reason == "blurred"
     assert "6.0 px wide and the squares 10.0 px" in str(error)

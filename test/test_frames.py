@@ -286,3 +286,11 @@ class TestRealRecordings:
         assert [frame.image.shape for frame in frames] == [shape]
         assert frames[0].image.std() > 10  # a picture, not a blank
         assert reader.warnings == []
+
+
+def test_a_file_that_is_an_image_by_its_name_alone_is_not_passed_over(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "1.png"), picture(1))
+    (tmp_path / "2.PNG").write_bytes(b"")
+    frames, reader = read(tmp_path)
+    assert numbers(frames) == [1]
+    assert "1 of 2 frames are left out. 2.PNG" in reader.warnings[0]

@@ -11,10 +11,13 @@ from types import SimpleNamespace
 import pytest
 from board_frames import PERIOD_NS, empty, flat, pair, shown
 from board_pictures import BOARD
+from scenes import SIZE, noisy, views_at
 
+import fewcal_ros.live
+from fewcal.calibration import calibrate
 from fewcal.errors import FewcalError, InvalidInput
 from fewcal.session import Session
-from fewcal_ros.health import Level, health_values, judge_health
+from fewcal_ros.health import Level, focal_text, health_values, judge_health
 from fewcal_ros.live import LiveCalibration, Look, Refused
 from fewcal_ros.messages import Frame
 from fewcal_ros.parameters import Parameters
@@ -58,7 +61,7 @@ class Bench:
         def ask() -> None:
             try:
                 answers.put(self.live.capture(TIMEOUT_S))
-            except Refused as error:
+            except FewcalError as error:
                 answers.put(error)
 
         threading.Thread(target=ask, daemon=True).start()
@@ -125,7 +128,7 @@ class TestByServices:
 
     def test_an_image_that_came_before_the_call_is_not_captured(self, bench):
         bench.gate.clear()
-        bench.offer(flat())
+        bench.offer(flat(), flat())  # the first is being read, the second waits
         answers = bench.capture(None)
         bench.offer(empty())
         bench.gate.set()
@@ -155,6 +158,49 @@ class TestByServices:
             assert "changed while" in str(answers.get(timeout=TIMEOUT_S))
         assert not bench.looks.get(timeout=TIMEOUT_S).problem, "nothing is wrong with the image"
         assert not bench.live.status().views
+
+    def test_a_reset_wins_over_a_calibration_that_is_under_way(self, bench):
+        for image in pair():
+            assert bench.capture(image).get(timeout=TIMEOUT_S).kept
+        calibrate = Session.calibrate
+
+        def meanwhile(session):
+            result = calibrate(session)
+            bench.live.reset()
+            return result
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Session, "calibrate", meanwhile)
+            with pytest.raises(Refused, match="changed during the calibration"):
+                bench.live.calibrate()
+        assert bench.live.result is None
+
+    def test_a_reset_forgets_the_calibration(self, bench):
+        assert bench.capture(pair()[0]).get(timeout=TIMEOUT_S).kept
+        bench.live.calibrate()
+        bench.live.reset()
+        with pytest.raises(Refused, match="no calibration yet"):
+            bench.live.current()
+
+    def test_an_image_without_a_frame_id_may_be_of_any_camera(self, bench):
+        first, second = pair()
+        bench.frame_id = "left"
+        assert bench.capture(first).get(timeout=TIMEOUT_S).kept
+        bench.frame_id = ""
+        assert bench.capture(second).get(timeout=TIMEOUT_S).kept
+
+    def test_motion_is_that_since_an_image_that_passed_by(self, bench):
+        bench.offer(shown(30.0), shown(30.0, shift_px=6.0), apart_ns=PERIOD_NS)
+        for _ in range(2):
+            bench.looks.get(timeout=TIMEOUT_S)
+        answers = bench.capture(None)
+        bench.offer(shown(30.0), apart_ns=PERIOD_NS)
+        assert answers.get(timeout=TIMEOUT_S).reason == "moving"
+
+    def test_a_capture_of_an_image_that_cannot_be_read_says_so(self, bench):
+        answers = bench.capture(None)
+        bench.show(None)
+        assert str(answers.get(timeout=TIMEOUT_S)) == "This is no image."
 
     def test_the_frame_id_is_that_of_the_last_view_that_is_left(self, bench):
         for frame_id, image in zip(("", "far"), pair(), strict=True):
@@ -244,13 +290,11 @@ def test_views_are_sought_until_the_method_chosen_calls_its_camera_usable(bench)
     assert all(look.decision.reason in ("nothing new", "replaced") for look in looks)
 
 
-@pytest.mark.parametrize("bench", [{"views_required": 1, "method": "zhang"}], indirect=True)
+@pytest.mark.parametrize("bench", [{"views_required": 2, "method": "zhang"}], indirect=True)
 def test_a_method_without_error_bars_is_not_sought_views_for_without_end(bench):
-    looks = bench.show(pair()[0], pair()[1])
-    results = [look.result for look in looks if look.result]
-    assert bench.live.status().complete == (
-        bool(results) and results[-1].calibration.views == bench.live.status().views
-    )
+    looks = bench.show(*pair(), flat())
+    assert [look for look in looks if look.result]
+    assert bench.live.status().complete
 
 
 @pytest.mark.parametrize("bench", [{"views_required": 1}], indirect=True)
@@ -265,3 +309,55 @@ def test_other_thresholds_give_another_verdict(bench):
     bench.live.configure(strict.changed({"max_focal_std": 1.0}))
     (look,) = bench.show(pair()[0])
     assert look.result.calibration.verdict.usable
+
+
+@pytest.mark.parametrize("bench", [{"views_required": 1}], indirect=True)
+def test_a_result_of_another_method_is_forgotten(bench):
+    assert bench.show(pair()[0])[0].result is not None
+    bench.live.configure(bench.live.status().parameters.changed({"method": "zhu2020"}))
+    with pytest.raises(Refused, match="no calibration yet"):
+        bench.live.current()
+
+
+def test_it_calibrates_once_for_each_set_of_views_and_not_before_there_are_enough(bench):
+    looks = bench.show(*pair(), flat(), flat())
+    assert [look.result is not None for look in looks] == [False, True, False, False]
+
+
+def test_silence_is_explained(bench, monkeypatch):
+    bench.show(empty())
+    assert not bench.live.status().silence
+    monkeypatch.setattr(fewcal_ros.live, "IDLE_S", 0.0)
+    assert bench.live.status().silence == "Nobody is there."
+
+
+@pytest.mark.parametrize("bench", [{"auto_capture": False, "method": "zhang"}], indirect=True)
+def test_a_failure_is_forgotten_once_the_same_views_make_a_camera(bench):
+    assert bench.capture(flat()).get(timeout=TIMEOUT_S).kept
+    with pytest.raises(FewcalError):
+        bench.live.calibrate()
+    bench.live.configure(bench.live.status().parameters.changed({"method": "map"}))
+    bench.live.calibrate()
+    assert judge_health(bench.live.status())[0] is Level.WARN
+
+
+@pytest.mark.parametrize("bench", [{"views_required": 1, "max_focal_std": 1e-6}], indirect=True)
+def test_a_camera_that_is_not_usable_is_a_warning_with_its_error_bars(bench):
+    bench.show(pair()[0])
+    level, sentence = judge_health(bench.live.status())
+    assert level is Level.WARN
+    assert sentence.startswith("Not usable: The focal length is known to ")
+    std = bench.live.current().calibration.std
+    assert dict(health_values(bench.live.status()))["fx sd"] == f"{std['fx']:.6g}"
+
+
+def test_images_of_another_size_are_a_warning(bench):
+    bench.show(flat(), flat()[10:-10])
+    level, sentence = judge_health(bench.live.status())
+    assert level is Level.WARN
+    assert sentence.startswith("The images are 640x460 now and the views 640x480; go back")
+
+
+def test_a_focal_length_without_error_bars_is_not_determined():
+    found = calibrate(noisy(views_at((40, 30), (35, 120), (30, -60)), 0.1, 1), SIZE, "zhang")
+    assert focal_text(found) == "the focal length is not determined yet"

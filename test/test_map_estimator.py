@@ -123,6 +123,18 @@ def test_the_estimate_is_the_middle_of_the_posterior_at_its_own_noise(count: int
     assert abs(gain) < 1e-3
 
 
+@pytest.mark.parametrize(("f", "tilt"), [(3000.0, (10, 30)), (600.0, (15, 150)), (3000.0, (15, 150))])
+def test_the_way_to_the_middle_takes_as_many_steps_as_it_needs(f: float, tilt: tuple[float, float]) -> None:
+    (seen,) = noisy(views_at(tilt, camera=Camera(f, f, 700.0, 450.0)), 0.05, 1)
+    found = estimate_map(stack_views([seen]), SIZE, Priors())
+    problem, at = found.adjustment, found.geometry
+    assert isinstance(problem.constraint, PriorRows)
+    reduced = eliminate(problem.rows(at, found.sigma)).camera.reshape(-1, 13)
+    centre = middle(reduced[:, :-1], reduced[:, -1], problem.constraint.tails(at.theta[0]))
+    assert centre is not None
+    assert centre.length < 0.02
+
+
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_the_estimate_lies_near_the_highest_point_of_the_posterior(count: int) -> None:
     found = estimate_map(stack_views(noisy(views_at(*TILTS[:count]), 0.2, 7)), SIZE, Priors())

@@ -194,3 +194,32 @@ def test_the_choice_of_views_does_not_depend_on_the_method() -> None:
     assert [view.source for view in cameras[0].views] == [view.source for view in cameras[1].views]
     assert cameras[1].camera.fx == pytest.approx(cameras[0].camera.fx, rel=0.01)
     assert not np.array_equal(cameras[0].camera.intrinsics, cameras[1].camera.intrinsics)
+
+
+@pytest.mark.parametrize("select", ["best", "first"])
+def test_method_and_priors_are_those_of_the_settings(select: str) -> None:
+    assert calibrated(pair(), select=select, method="zhu2020").calibration.method == "zhu2020"
+    known = calibrated(pair(), select=select, priors=Priors(focal_px=(590.0, 0.1)))
+    assert known.calibration.camera.fx == pytest.approx(590, rel=1e-3)
+
+
+def test_moving_views_are_no_better_than_one_still_view_where_one_is_asked_for() -> None:
+    outcome = calibrated([flat(), pair()[0]], PERIOD_NS, views=1)
+    assert used(outcome) == [0]
+    assert outcome.rejected == {"moving": 1}
+
+
+def test_a_camera_that_all_good_views_contradict_is_not_usable() -> None:
+    images = [*pair(), shown(30.0), shown(40.0, 200.0)]
+    stated = calibrated(images, priors=Priors(focal_px=(598.0, 0.5))).calibration
+    (reason,) = stated.verdict.reasons
+    assert reason.startswith("4 good views together contradict those chosen: fx is 600.")
+    assert not stated.verdict.usable
+
+
+def test_the_choice_of_views_counts_what_is_known() -> None:
+    images = [shown(20.0, 10.0), shown(40.0, 10.0), shown(40.0, 30.0), shown(40.0, 100.0)]
+    free, known = (
+        used(calibrated(images, views=1, priors=p)) for p in (Priors(), Priors(focal_px=(600.0, 0.5)))
+    )
+    assert free != known

@@ -41,6 +41,12 @@ def test_images_with_their_pixels_calibrate(run: Any, plate: str, tmp_path: Path
     assert folder.content["camera"] == result.content["camera"]
 
 
+def test_an_image_is_found_however_its_suffix_is_written(plate: str, tmp_path: Path) -> None:
+    (tmp_path / "photo0.jpg").rename(tmp_path / "photo0.JPG")
+    sources = [frame.source for frame in PixelFrames([tmp_path], None)]
+    assert sources == [str(tmp_path / name) for name in ("photo0.JPG", "photo1.jpg", "photo2.jpg")]
+
+
 def test_pixels_alone_need_the_size_of_the_image(run: Any, plate: str, tmp_path: Path) -> None:  # noqa: F811
     with_images = run("calibrate", tmp_path, "--board", plate, "--json")
     for photo in tmp_path.glob("*.jpg"):

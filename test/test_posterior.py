@@ -136,13 +136,6 @@ def test_a_view_that_says_nothing_determines_nothing() -> None:
     np.testing.assert_array_equal(determined_share(result), 0)
 
 
-@given(st.integers(0, 10_000))
-def test_determined_share_lies_between_nothing_and_everything(seed: int) -> None:
-    share = determined_share(posterior(*at_the_mode(random_rows(seed), 2.0)))
-    assert share.shape == (8,)
-    assert ((share >= 0) & (share <= 1)).all()
-
-
 def test_determined_share_is_the_variance_that_the_data_removed() -> None:
     nothing = np.zeros((0, 2, 2))
     result = Posterior(np.diag([1.0, 4.0]), np.diag([4.0, 4.0]), nothing, np.zeros((2, 2)), np.zeros(2))

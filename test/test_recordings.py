@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -387,3 +389,16 @@ def test_real_recordings_hold_what_other_tools_found() -> None:
             assert info.warnings == ()
             checked += 1
     assert checked >= 15
+
+
+def test_recordings_and_images_in_one_folder_leave_a_choice(tmp_path: Path) -> None:
+    write_mcap(tmp_path, MIXED)
+    cv2.imwrite(str(tmp_path / "1.png"), np.zeros((20, 30), np.uint8))
+    assert surviving(tmp_path) == ([], [f"{tmp_path} holds both recordings and images; name those to use."])
+
+
+def test_a_recording_cut_off_before_its_first_message_is_an_error(tmp_path: Path) -> None:
+    bag = write_mcap(tmp_path, MIXED)
+    os.truncate(bag, 100)
+    with pytest.raises(RecordingError, match="is damaged and no message in it can be read; record it again"):
+        recording_info(bag)

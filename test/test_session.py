@@ -7,13 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 from board_frames import PERIOD_NS, Image, empty, flat, pair, shown
-from board_pictures import BOARD, CAMERA
+from board_pictures import BOARD, CAMERA, picture, pose
 from marker_pictures import CHARUCO, marker_picture, needs_markers, two_parts
 
 from fewcal.boards import Chessboard
+from fewcal.camera import Camera
+from fewcal.constraints import Priors
+from fewcal.detection import Detection
 from fewcal.errors import DegenerateViews, InvalidInput
-from fewcal.session import MOTION_WINDOW_NS, Criteria, Decision, FrameFilter, Session
+from fewcal.selection import information
+from fewcal.session import MOTION_WINDOW_NS, Criteria, Decision, FrameFilter, Session, shift_px
 from fewcal.verdict import Thresholds
+from fewcal.views import View
 
 BLURRED = 4.0
 """Blur, pixels, whose edges of 10 px are too wide to keep but narrow enough to be found."""
@@ -68,6 +73,7 @@ MOVED_FAR, MOVED_LITTLE = shown(30.0, shift_px=6.0), shown(30.0, shift_px=1.0)
         (MOVED_FAR, (None, None), "kept"),
         (MOVED_FAR, (0, None), "kept"),
         (MOVED_FAR, (None, 0), "kept"),
+        (MOVED_FAR, (0, 0), "moving"),
         (MOVED_FAR, (0, MOTION_WINDOW_NS), "moving"),
         (MOVED_FAR, (0, MOTION_WINDOW_NS + 1), "kept"),
         (MOVED_FAR, (PERIOD_NS, 0), "kept"),  # the recording was started again, or clocks were set
@@ -95,7 +101,7 @@ def test_a_frame_that_was_let_pass_tells_motion_too(before: Image, motion: str) 
     assert frames.read == 2
     frames.pass_by(MOVED_FAR, 3 * PERIOD_NS)
     assert frames.look(shown(30.0), 3 * PERIOD_NS + 10**9).reason == "kept"  # too long ago
-    frames.pass_by(MOVED_FAR[:400], 5 * 10**9)
+    frames.pass_by(shown(30.0)[:400], 5 * 10**9)
     assert frames.look(shown(30.0), 5 * 10**9 + 1).reason == "moving"  # another size
 
 
@@ -349,3 +355,72 @@ def test_numbers_that_are_no_criteria(value: Any) -> None:
     for name in ("min_sharpness", "max_motion_px", "max_error_ratio"):
         with pytest.raises(InvalidInput, match="Criteria are numbers that are not negative"):
             Criteria(**{name: value})
+
+
+def test_a_view_that_makes_a_usable_camera_unusable_is_no_gain() -> None:
+    session = Session(BOARD, criteria=Criteria(max_error_ratio=0.05))
+    session.add(shown(60.0, 10.0))
+    assert session.calibrate().verdict.usable
+    zoomed, _ = picture(pose(BOARD, 30.0, 42.0, 20.0), camera=Camera(780.0, 780.0, 319.5, 239.5))
+    assert session.add(zoomed).reason == "nothing new"
+
+
+def test_what_is_known_beforehand_counts_from_the_first_view() -> None:
+    session = Session(BOARD, priors=Priors(focal_px=(590.0, 0.1)))
+    for image in pair():
+        assert session.add(image).kept
+        assert session.estimate is not None
+        assert session.estimate.camera.fx == pytest.approx(590, rel=1e-3)
+
+
+def test_a_view_is_worth_what_it_tells_beyond_what_is_known() -> None:
+    images, never = (shown(40.0, 10.0), shown(30.0, 10.0)), Thresholds(focal_std=1e-6)
+    for priors, second in ((Priors(), "kept"), (Priors(focal_px=(600.0, 1.0)), "nothing new")):
+        _, decisions = session_of(*images, priors=priors, thresholds=never)
+        assert [decision.reason for decision in decisions] == ["kept", second]
+
+
+def test_what_is_asked_for_can_be_changed_and_outlasts_a_reset() -> None:
+    session, _ = session_of(*pair())
+    session.configure(2, "zhu2020", Thresholds(focal_std=1e-6), Criteria(min_sharpness=0.05))
+    assert len(session.views) == 2
+    assert not session.complete
+    assert not session.calibrate().verdict.usable
+    session.reset()
+    assert session.add(shown(30.0, blur_px=BLURRED)).kept
+
+
+def test_a_motion_is_told_by_four_points_or_more() -> None:
+    seen = View(BOARD.points, CAMERA.project(BOARD.points, pose(BOARD, 34.0)))
+    for count, expected in ((3, np.inf), (4, 5.0)):
+        part = View(BOARD.points[:count], seen.image_points[:count] + np.array([3.0, -4.0]))
+        assert shift_px(part, seen) == pytest.approx(expected)
+
+
+class Told:
+    """A board that is where it is told to be."""
+
+    def __init__(self, *views: View) -> None:
+        self.views = iter(views)
+
+    def detect(self, image: Image, source: str = "", stamp_ns: int | None = None) -> Detection:
+        return Detection(next(self.views), 2.0, 30.0)
+
+
+def test_views_that_make_no_camera_do_no_harm() -> None:
+    sound = View(BOARD.points, CAMERA.project(BOARD.points, pose(BOARD, 34.0, 40.0)))
+    line = View(BOARD.points, sound.image_points * [1.0, 0.0] + [0.0, 240.0])
+    first, second = Session(Told(line)), Session(Told(sound, line))  # type: ignore[arg-type]
+    assert first.add(empty()).kept
+    assert first.estimate is None
+    with pytest.raises(DegenerateViews):
+        first.calibrate()
+    assert [second.add(empty()).reason for _ in range(2)] == ["kept", "degenerate"]
+    assert len(second.views) == 1
+
+
+def test_a_view_that_is_kept_says_what_is_left_of_the_error() -> None:
+    session, (_, second) = session_of(*pair(), views_required=3)
+    assert session.estimate is not None
+    left = information(session.estimate).projection_std(np.array([[0, 1]]))[0]
+    assert second.message == f"The expected projection error is {left:.2f} px now."

@@ -280,3 +280,37 @@ def test_a_fold_on_the_way_to_the_border_is_found_where_the_border_itself_has_ra
     assert folds_inside(lens, SIZE)
     straight = Camera(348.0, 347.0, 645.0, 503.0, [-0.14310552, 0.00969059, 0.0, 0.0, 0.0])
     assert not folds_inside(straight, SIZE), "p1 and p2 make the fold"
+
+
+@pytest.mark.parametrize(
+    ("case", "thresholds"),
+    [("scatter", Thresholds(sigma_px=5.0)), ("two cameras", Thresholds(disagreement=2.5))],
+)
+def test_misfits_are_judged_by_the_thresholds(case: str, thresholds: Thresholds) -> None:
+    evidence = replace(SOUND, **CASES[case][0])
+    assert not judge(evidence).usable
+    assert judge(evidence, thresholds) == Verdict(True, ())
+
+
+@pytest.mark.parametrize("view_rms", [[0.5, 1.4, 0.54], [0.5, 35.3]])
+def test_a_view_is_named_only_where_it_is_one_of_several_and_far_worse(view_rms: list[float]) -> None:
+    (reason,) = judge(replace(SOUND, sigma_px=23.0, view_rms=np.array(view_rms))).reasons
+    assert "leave it out" not in reason
+
+
+def test_only_the_focal_length_contradicts_a_stated_one() -> None:
+    evidence = replace(SOUND, conflicts={"aspect ratio": 4.4}, stated_focal_px=(1210.5, 1.0))
+    assert "contradicts what was known beforehand" in judge(evidence).reasons[0]
+
+
+def test_a_corner_at_the_border_is_not_outside() -> None:
+    assert judge(replace(SOUND, outside_px=0.9)).usable
+    assert not judge(replace(SOUND, outside_px=1.1)).usable
+
+
+@pytest.mark.parametrize(("sigma_px", "unheld_px"), [(0.02, 0.09), (0.5, 0.45)])
+def test_a_camera_that_plumb_bob_does_not_hold_is_refused(sigma_px: float, unheld_px: float) -> None:
+    noise = replace(SOUND, sigma_px=sigma_px)
+    assert judge(replace(noise, unheld_px=unheld_px)).usable
+    (reason,) = judge(replace(noise, unheld_px=1.3 * unheld_px)).reasons
+    assert "no place in plumb_bob" in reason

@@ -84,6 +84,17 @@ def test_copies_are_as_read_only_as_what_they_are_copies_of() -> None:
         assert not array.flags.writeable
 
 
+def test_no_point_counts_for_more_than_board_and_lens_let_it() -> None:
+    sigma = np.where(np.arange(12) < 6, 1e-6, 0.1)
+    weights = stack_views([View(OBJECT, IMAGE, sigma)]).weights[0]
+    assert weights[0] / weights[-1] == pytest.approx(np.sqrt(2))
+
+
+def test_four_points_may_lie_off_a_plane_already() -> None:
+    with pytest.raises(InvalidInput, match="one plane"):
+        View([[0, 0, 0], [1, 0, 0], [1, 1, 0.001], [0, 1, 0]], IMAGE[:4])
+
+
 def test_sigma_has_one_row() -> None:
     with pytest.raises(InvalidInput, match="sigma must be positive pixels"):
         View(OBJECT, IMAGE, np.ones((3, 4)))

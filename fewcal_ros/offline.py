@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from fewcal.boards import Board
 from fewcal.calibration import Calibration, calibrate
 from fewcal.constraints import Priors
-from fewcal.errors import BoardNotFound, DegenerateViews
+from fewcal.errors import BoardNotFound, DegenerateViews, FewcalError
 from fewcal.grey import size_of
 from fewcal.selection import CANDIDATES, best_subset, information, thin
 from fewcal.session import FrameFilter, Session
@@ -104,13 +104,24 @@ def _first(frames: Iterable[Frame], settings: Settings, count: int, fates: _Fate
     for frame in frames:
         decision = session.add(frame.image, frame.stamp_ns, frame.source)
         fates.note(decision.reason, decision.message)
-        if session.complete:
+        if decision.kept and _satisfied(session):
             break
     if not session.views:
         raise fates.no_view(settings.board)
     rejected = session.frames.rejected.copy()
     rejected["replaced"] = session.frames.read - rejected.total() - len(session.views)
     return Outcome(session.calibrate(), session.frames.read, session.frames.with_board, +rejected)
+
+
+def _satisfied(session: Session) -> bool:
+    """Whether the views kept make a camera, by the method chosen too, where that has error bars."""
+    if not session.complete:
+        return False
+    try:
+        calibration = session.calibrate()
+    except FewcalError:
+        return False
+    return calibration.verdict.usable or calibration.covariance is None
 
 
 def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome:

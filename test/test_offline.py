@@ -223,3 +223,13 @@ def test_the_choice_of_views_counts_what_is_known() -> None:
         used(calibrated(images, views=1, priors=p)) for p in (Priors(), Priors(focal_px=(600.0, 0.5)))
     )
     assert free != known
+
+
+def test_the_first_views_are_sought_until_the_method_chosen_calls_its_camera_usable() -> None:
+    # As the live node does, see test_live.py; map would be content with the first.
+    images, lenient = [pair()[0], flat(), pair()[1], shown(50.0, 45.0)], Thresholds(focal_std=0.05)
+    read = {
+        method: calibrated(images, select="first", views=1, method=method, thresholds=lenient).read
+        for method in ("map", "zhu2020")
+    }
+    assert read == {"map": 1, "zhu2020": 4}

@@ -85,7 +85,8 @@ class Verdict:
     ----------
     usable : bool
     reasons : tuple of str
-        Each a sentence: what is wrong, and what to do. Empty when nothing is.
+        Each a sentence: what is wrong, and what to do. Empty when nothing is; the command adds remarks that
+        leave a camera usable, such as fewer views than asked for.
     """
 
     usable: bool

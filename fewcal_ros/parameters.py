@@ -102,7 +102,9 @@ class Parameters:
         True,
         "Take views and calibrate as they come; false leaves both to the services ~/capture and ~/calibrate.",
     )
-    method: str = _parameter("method", "map", "Estimator; map reports error bars.", choices=METHODS)
+    method: str = _parameter(
+        "method", "map", "Estimator; zhang has no error bars, only map uses a prior.", choices=METHODS
+    )
     prior_focal_px: float = _parameter(
         "prior.focal_px",
         0.0,
@@ -141,7 +143,7 @@ class Parameters:
     output_path: str = _parameter(
         "output_path",
         "",
-        "File that ~/save writes, or an existing folder for CAMERA_NAME.yaml; "
+        "File that ~/save writes, or a folder, existing or ending in /, for CAMERA_NAME.yaml; "
         "empty: $ROS_HOME/camera_info/CAMERA_NAME.yaml, where ROS_HOME is ~/.ros unless set.",
     )
     frame_id: str = _parameter(

@@ -12,7 +12,7 @@ from .offline import Outcome
 def as_json(outcome: Outcome) -> str:
     """The result as JSON text; what is not known, or not finite, is null.
 
-    Keys and units as the documentation of the command lists them: pixels, degrees, metres, nanoseconds.
+    Keys and units as README.md lists them: pixels, degrees, metres, nanoseconds.
     """
     calibration = outcome.calibration
     camera = calibration.camera

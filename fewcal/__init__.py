@@ -24,8 +24,9 @@ from .errors import (
     InvalidInput,
     ModelFoldsOver,
 )
+from .frame_filter import Criteria
 from .radial_prior import RadialPrior
-from .session import Criteria, Session
+from .session import Session
 from .verdict import Thresholds, Verdict
 from .views import View
 

@@ -229,7 +229,10 @@ def _minimise(
             lowest = objective.min(where=converged, initial=lowest)
             going_on &= objective <= lowest + lead
         if not going_on.all() or iteration == tolerances.iterations:
-            stop[active], iterations[active] = np.where(stalled, int(Stop.STALLED), converged), iteration
+            stop[active] = np.where(
+                stalled, Stop.STALLED, np.where(converged, Stop.CONVERGED, Stop.ITERATIONS)
+            )
+            iterations[active] = iteration
             end = state
             if tolerances.final_step:
                 end = problem.retract(state, shared * converged[:, None], local * converged[:, None, None])

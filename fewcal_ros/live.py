@@ -21,7 +21,8 @@ from typing import Any
 from fewcal.calibration import Calibration
 from fewcal.detection import prepare
 from fewcal.errors import FewcalError
-from fewcal.session import Decision, Session
+from fewcal.frame_filter import Decision
+from fewcal.session import Session
 from fewcal.views import View
 
 from .mailbox import Letter, Mailbox

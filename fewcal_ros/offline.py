@@ -10,9 +10,10 @@ from fewcal.boards import Board
 from fewcal.calibration import Calibration, calibrate
 from fewcal.constraints import Priors
 from fewcal.errors import BoardNotFound, DegenerateViews, FewcalError
+from fewcal.frame_filter import FrameFilter
 from fewcal.grey import size_of
 from fewcal.selection import CANDIDATES, best_subset, information, thin
-from fewcal.session import FrameFilter, Session
+from fewcal.session import Session
 from fewcal.verdict import Thresholds, Verdict
 from fewcal.views import View
 

@@ -16,7 +16,7 @@ from fewcal.calibration import METHODS
 from fewcal.camera_info import check_camera_name
 from fewcal.constraints import Priors
 from fewcal.errors import InvalidInput
-from fewcal.session import Criteria
+from fewcal.frame_filter import Criteria
 from fewcal.verdict import Thresholds
 
 Value = str | bool | int | float

@@ -6,7 +6,7 @@ import pytest
 
 from fewcal.constraints import Priors
 from fewcal.errors import InvalidInput
-from fewcal.session import Criteria
+from fewcal.frame_filter import Criteria
 from fewcal.verdict import Thresholds
 from fewcal_ros.parameters import About, Parameters
 

@@ -288,15 +288,12 @@ def _pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alik
         of_theta = gaussian_covariance(rows, penalty) * (sigma / found.sigma) ** 2
         covariance = _propagated(of_theta, plumb_bob_jacobian(theta))
     camera = nearest_plumb_bob(theta[:5], coefficients, size)
-    counts = found.adjustment.views.counts
-    even = replace(
-        found.adjustment,
-        views=found.adjustment.views._replace(weights=(shared.views.weights > 0).astype(float)),
-    )
+    views = found.adjustment.views
+    even = replace(found.adjustment, views=views._replace(weights=np.sign(views.weights)))
     beyond = _squared_errors(found, camera).sum() - even.linearise(found.geometry).squares[0]
-    unheld = math.sqrt(max(float(beyond), 0.0) / counts.sum())
+    unheld = math.sqrt(max(float(beyond), 0.0) / views.counts.sum())
     reduced = eliminate(found.adjustment.rows(found.geometry, found.sigma)).camera
-    apart = disagreement(reduced, theta.size, found.sigma, counts)
+    apart = disagreement(reduced, theta.size, found.sigma, views.counts)
     return _Solution(
         camera, coefficients, float(theta[4]), unheld, sigma, np.zeros(COUNT), covariance, None, {}, apart
     )

@@ -10,10 +10,6 @@ from fewcal.blobs import Blobs
 from fewcal.boards import AsymmetricCircleGrid, CircleGrid
 from fewcal.circle_bias import _CIRCLE, _ellipses
 
-CIRCLE = np.stack(
-    [np.cos(np.arange(16) * np.pi / 8), np.sin(np.arange(16) * np.pi / 8), np.zeros(16)], axis=1
-)
-
 
 def blobs(board: CircleGrid | AsymmetricCircleGrid, tilt: float, about: float) -> Blobs:
     outlines = board.points[:, None] + 0.006 * np.c_[_CIRCLE, np.zeros(len(_CIRCLE))]

@@ -18,8 +18,6 @@ from fewcal.views import View
 from fewcal_ros.offline import Outcome
 from fewcal_ros.report import as_json, as_text
 
-NUMBER = (int, float)
-
 
 def outcome(method: str = "map", **changes: Any) -> Outcome:
     """Two exact views in four frames."""

@@ -2,33 +2,35 @@
 
 from __future__ import annotations
 
-import math
 import operator
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .adjustment import Estimate
-from .agreement import Disagreement, disagreement
-from .camera import Camera, project
+from .camera import Camera
 from .checks import real_array, require_kind
-from .constraints import FOCAL, PRIOR_ROWS, Priors
-from .copies import copies, share_weight
-from .departures import COUNT, axial_remainder, lens_remainder
-from .elimination import eliminate
+from .constraints import PRIOR_ROWS, Priors
+from .copies import copies
+from .departures import COUNT, lens_remainder
 from .errors import DegenerateViews, InvalidInput
 from .least_squares import Stop
 from .map_estimator import estimate_map
-from .noise import Noise
-from .parametrisation import PixelModel, ScaleFree
-from .pixel_camera import from_plumb_bob, nearest_plumb_bob, plumb_bob_jacobian
-from .posterior import NAMES, determined_share, gaussian_covariance, posterior, projection_std
-from .prior_rows import PriorRows
+from .posterior import NAMES, projection_std
+from .solution import (
+    Solution,
+    focal_std,
+    map_solution,
+    pixel_solution,
+    spread,
+    squared_errors,
+    with_stated_focal,
+)
 from .verdict import Evidence, Thresholds, Verdict, extent, judge, outside, tilt_deg
-from .views import View, ViewStack, stack_views
+from .views import View, stack_views
 from .zhu2020 import estimate_zhang, estimate_zhu2020
 
 Array = NDArray[np.float64]
@@ -108,7 +110,7 @@ class Calibration:
         """
         if self.covariance is None:
             return None
-        sd = _spread(self.covariance, self.camera, self.departures, self.image_size)
+        sd = spread(self.covariance, self.camera, self.departures, self.image_size)
         return dict(zip(NAMES, sd.tolist(), strict=True))
 
     @property
@@ -193,12 +195,12 @@ def calibrate(
     try:
         if method == "map":
             found = estimate_map(stack, size, priors, alike)
-            solution = _map_solution(found)
+            solution = map_solution(found)
             if max(solution.prior_conflicts.values()) > thresholds.conflict:
-                solution = _with_stated_focal(solution, stack, size, priors, alike)
+                solution = with_stated_focal(solution, stack, size, priors, alike)
         else:
             found = estimate_zhu2020(stack, size) if method == "zhu2020" else estimate_zhang(stack)
-            solution = _pixel_solution(found, size, priors, alike)
+            solution = pixel_solution(found, size, priors, alike)
     except np.linalg.LinAlgError:
         raise DegenerateViews(
             "The points of a view lie so close together that rounding hides how; check their unit, pixels."
@@ -206,118 +208,9 @@ def calibrate(
     return _result(found, solution, views, alike, size, method, priors, thresholds)
 
 
-@dataclass(frozen=True)
-class _Solution:
-    """What an estimator found, in the terms of every method; `settled` is what the data determined of all.
-
-    `unheld_px` is how far `camera` misses the points beyond what was found does, root mean square.
-    """
-
-    camera: Camera
-    pixel_distortion: Array
-    skew: float
-    unheld_px: float
-    sigma_px: float
-    departures: Array
-    covariance: Array | None
-    settled: dict[str, float] | None
-    prior_conflicts: dict[str, float]
-    disagreement: Disagreement | None
-
-
-def _map_solution(found: Estimate) -> _Solution:
-    model, known = found.adjustment.model, found.adjustment.constraint
-    assert isinstance(model, ScaleFree)
-    assert isinstance(known, PriorRows)
-    theta = found.geometry.theta[0, : model.size]
-    natural = model.natural(theta)
-    if model.in_pixels:
-        coefficients = model.pixel_coefficients(theta)
-        camera = nearest_plumb_bob(np.append(natural[:4], 0.0), coefficients, model.image_size)
-    else:
-        fx, fy, cx, cy = natural[:4].tolist()
-        camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
-        coefficients = from_plumb_bob(camera)
-    rows = found.adjustment.rows(found.geometry, found.sigma)
-    result = posterior(rows, known.tails(found.geometry.theta[0]))
-    conflicts = known.distance(found.geometry.theta[0])
-    own = slice(model.size)
-    conflicts[own] = np.maximum(conflicts[own], np.abs(result.against_prior[own]))
-    return _Solution(
-        camera,
-        coefficients,
-        0.0,
-        0.0,
-        found.sigma,
-        found.geometry.theta[0, model.size :],
-        model.natural_spread(theta, result.covariance[:8, :8]),
-        {name: 1 - left for name, left in _worst_by_name(1 - determined_share(result)).items()},
-        _worst_by_name(conflicts),
-        disagreement(result.reduced, model.size, found.sigma, found.adjustment.views.counts),
-    )
-
-
-def _with_stated_focal(
-    solution: _Solution, stack: ViewStack, size: tuple[int, int], priors: Priors, alike: Array
-) -> _Solution:
-    """Hold a focal length that was stated, if any, against what the views say without it, both with their sd.
-
-    What is stated surely can make everything else give way, at a camera where the views seem to agree.
-    """
-    if priors.focal_px is None:
-        return solution
-    free = _map_solution(estimate_map(stack, size, replace(priors, focal_px=None), alike))
-    mean, sd = priors.focal_px
-    off = abs(math.log(free.camera.fx / mean)) / math.hypot(sd / mean, _focal_std(free, size))
-    conflicts = solution.prior_conflicts
-    return replace(solution, prior_conflicts={**conflicts, FOCAL: max(off, conflicts[FOCAL])})
-
-
-def _pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alike: Array) -> _Solution:
-    model, theta = found.adjustment.model, found.geometry.theta[0]
-    assert isinstance(model, PixelModel)
-    # The paper weighs all views alike, also as n of eq 29; but copies tell nothing new.
-    shared = replace(found.adjustment, views=share_weight(found.adjustment.views, alike))
-    rows = shared.rows(found.geometry, found.sigma)
-    coefficients = model.coefficients(theta)
-    squares = (rows.r**2).sum(keepdims=True)[0] * found.sigma**2
-    sigma = float(np.sqrt(Noise.of(shared.views, priors).variance(squares)[0]))
-    covariance: Array | None = None
-    if model.tangential:
-        penalty = found.adjustment.constraint(found.geometry.theta)[1][0] * np.sqrt((1 / alike).mean())
-        of_theta = gaussian_covariance(rows, penalty) * (sigma / found.sigma) ** 2
-        covariance = _propagated(of_theta, plumb_bob_jacobian(theta))
-    camera = nearest_plumb_bob(theta[:5], coefficients, size)
-    views = found.adjustment.views
-    even = replace(found.adjustment, views=views._replace(weights=np.sign(views.weights)))
-    beyond = _squared_errors(found, camera).sum() - even.linearise(found.geometry).squares[0]
-    unheld = math.sqrt(max(float(beyond), 0.0) / views.counts.sum())
-    reduced = eliminate(found.adjustment.rows(found.geometry, found.sigma)).camera
-    apart = disagreement(reduced, theta.size, found.sigma, views.counts)
-    return _Solution(
-        camera, coefficients, float(theta[4]), unheld, sigma, np.zeros(COUNT), covariance, None, {}, apart
-    )
-
-
-def _propagated(covariance: Array, J: Array) -> Array:
-    """Covariance (8, 8) through a Jacobian (8, S); infinite where a part of it is."""
-    if not np.isfinite(covariance).all():
-        return np.full((len(J), len(J)), np.inf)
-    propagated: Array = J @ covariance @ J.T
-    return propagated
-
-
-def _worst_by_name(values: Array) -> dict[str, float]:
-    """Gather rows that speak of one quantity under its name, keeping the largest value."""
-    worst: dict[str, float] = {}
-    for name, value in zip(PRIOR_ROWS, values.tolist(), strict=True):
-        worst[name] = max(value, worst.get(name, value))
-    return worst
-
-
 def _result(
     found: Estimate,
-    solution: _Solution,
+    solution: Solution,
     views: tuple[View, ...],
     alike: Array,
     size: tuple[int, int],
@@ -328,7 +221,7 @@ def _result(
     stack = found.adjustment.views
     poses = found.board_poses()
     counts = stack.counts
-    squares = _squared_errors(found, solution.camera)
+    squares = squared_errors(found, solution.camera)
     if not np.isfinite(squares).all():
         raise DegenerateViews(
             "No camera suits these views: without the bend that they ask for the board lies behind it; check "
@@ -344,7 +237,7 @@ def _result(
         camera=solution.camera,
         image_size=size,
         sigma_px=solution.sigma_px,
-        focal_std=None if covariance is None else _focal_std(solution, size),
+        focal_std=None if covariance is None else focal_std(solution, size),
         conflicts={
             name: residual
             for name, residual in solution.prior_conflicts.items()
@@ -373,30 +266,6 @@ def _result(
         prior_conflicts={n: r for n, r in solution.prior_conflicts.items() if r > thresholds.conflict},
         verdict=judge(evidence, thresholds),
     )
-
-
-def _focal_std(solution: _Solution, size: tuple[int, int]) -> float:
-    assert solution.covariance is not None
-    sd = _spread(solution.covariance, solution.camera, solution.departures, size)
-    return float(sd[0]) / solution.camera.fx
-
-
-def _spread(covariance: Array, camera: Camera, departures: Array, size: tuple[int, int]) -> Array:
-    """One sigma (8,) of the parameters, see :attr:`Calibration.std`."""
-    sd: Array = np.sqrt(np.diagonal(covariance))
-    axial = departures[2] * axial_remainder(size, camera.intrinsics[2:])
-    sd[:2] = np.hypot(sd[:2], axial * camera.intrinsics[:2])
-    return sd
-
-
-def _squared_errors(found: Estimate, camera: Camera) -> Array:
-    """Sum of squared distances between what a camera projects and what was observed, (V,), px^2."""
-    views, (_, rotation, position) = found.adjustment.views, found.geometry
-    points = rotation[0, :, :, :2] @ views.points + position[0, :, :, None]
-    projected = project(np.swapaxes(points, 1, 2), camera.intrinsics, camera.distortion)
-    off = np.where(views.weights[..., None] > 0, projected - np.swapaxes(views.pixels, 1, 2), 0)
-    squares: Array = (off * off).sum(axis=(1, 2))
-    return squares
 
 
 def check_options(method: str, priors: Priors, thresholds: Thresholds) -> None:

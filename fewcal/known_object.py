@@ -146,18 +146,32 @@ def pixel_file(source: str | Path) -> Path:
     Raises
     ------
     InvalidInput
-        When there is none.
+        When there is none, or more than one.
     """
     path = Path(source)
     if path.name.lower().endswith(PIXEL_SUFFIXES):
         return path
-    wanted = [path.with_name(path.stem + suffix) for suffix in PIXEL_SUFFIXES]
-    for file in wanted:
-        if file.is_file():
-            return file
-    raise InvalidInput(
-        f"{path.name} has no pixels; write {wanted[0].name} beside it, with a line 'name u v' for each point."
-    )
+    try:
+        beside = sorted(path.parent.iterdir())
+    except OSError as error:
+        raise InvalidInput(f"{path.parent} cannot be read: {error.strerror}.") from None
+    stem = path.stem
+    found = [
+        file
+        for file in beside
+        if file.name.startswith(stem) and file.name[len(stem) :].lower() in PIXEL_SUFFIXES
+    ]
+    if not found:
+        raise InvalidInput(
+            f"{path.name} has no pixels; write {stem}{PIXEL_SUFFIXES[0]} beside it, with a line 'name u "
+            "v' for each point."
+        )
+    if len(found) > 1:
+        raise InvalidInput(
+            f"{path.name} has pixels in {found[0].name} and in {found[1].name}; remove one, or name the one "
+            "to use."
+        )
+    return found[0]
 
 
 def read_named(file: str | Path, counts: tuple[int, ...], form: str) -> dict[str, tuple[float, ...]]:

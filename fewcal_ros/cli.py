@@ -27,7 +27,7 @@ from fewcal.sheet_files import write_sheet
 from fewcal.verdict import Thresholds
 
 from .arguments import make_parser
-from .command import INTERRUPTED
+from .command import INTERRUPTED, complain, discard
 from .errors import RosError
 from .frames import FrameReader, open_frames
 from .messages import Frame
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _complain("Interrupted.", INTERRUPTED)
     except OSError as error:  # of stdout; those of files are FewcalErrors
-        _discard_output()
+        discard(sys.stdout)
         if isinstance(error, BrokenPipeError):  # its reader has seen enough
             return PIPE_CLOSED
         return _complain(f"The output cannot be written: {error.strerror}.", BAD_INPUT)
@@ -246,15 +246,8 @@ def _warn(warnings: Iterable[str]) -> None:
 
 def _complain(sentence: str, code: int) -> int:
     """Print a sentence on stderr, on one line whatever names it holds."""
-    print("fewcal:", " ".join(sentence.splitlines()), file=sys.stderr)
+    complain("fewcal: " + " ".join(sentence.splitlines()))
     return code
-
-
-def _discard_output() -> None:
-    """Send what is still unwritten to nowhere, so that the interpreter does not fail over it at its end."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
-    os.close(nowhere)
 
 
 if __name__ == "__main__":

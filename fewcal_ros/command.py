@@ -6,12 +6,13 @@ import os
 import signal
 import sys
 import traceback
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
-INTERRUPTED = 130
-"""Exit code, as a shell reports it: 128 and the number of the signal."""
+INTERRUPTED, TERMINATED = 130, 143
+"""Exit codes, as a shell reports them: 128 and the number of the signal."""
 DEFECT = 70
 """Exit code of an error in the program itself, as in sysexits.h."""
+_DEFECTIVE = "fewcal: This is a defect of fewcal; please report it with the lines above."
 _STDOUT, _STDERR = 1, 2
 
 
@@ -22,13 +23,28 @@ def main() -> int:
     from .cli import main as run
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, _wind_up)
     try:
         return run()
     except Exception:
         # An interpreter that ends so has the exit code of a camera that is not usable.
-        traceback.print_exc()
-        print("fewcal: This is a defect of fewcal; please report it with the lines above.", file=sys.stderr)
+        complain(traceback.format_exc() + _DEFECTIVE)
         return DEFECT
+
+
+def complain(text: str) -> None:
+    """Print on stderr. Where nobody can read it (a full disk, a closed pipe) nothing is lost for that."""
+    try:
+        print(text, file=sys.stderr, flush=True)
+    except OSError:
+        discard(sys.stderr)
+
+
+def discard(stream: TextIO) -> None:
+    """Send what is still unwritten to nowhere, so that the interpreter does not fail over it at its end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
 
 
 def _fill_closed_streams() -> None:
@@ -38,6 +54,11 @@ def _fill_closed_streams() -> None:
     os.close(number)
     sys.stdout = sys.stdout or open(_STDOUT, "w", closefd=False)  # noqa: SIM115
     sys.stderr = sys.stderr or open(_STDERR, "w", closefd=False)  # noqa: SIM115
+
+
+def _wind_up(*_: object) -> NoReturn:
+    """End as after an error: what was written for a while, such as a recording decompressed, is removed."""
+    sys.exit(TERMINATED)
 
 
 def _end(*_: object) -> NoReturn:

@@ -8,7 +8,7 @@ from types import TracebackType
 
 from rosbags.typesys import Stores, get_typestore
 
-from fewcal.errors import InvalidInput
+from fewcal.errors import FewcalError, InvalidInput
 
 from .encoded import decode_grey
 from .errors import RecordingError
@@ -124,7 +124,7 @@ class FrameReader:
             raise RecordingError(reason or f"No image on topic {self.topic} can be read; record it again.")
 
     def _sound(
-        self, name: str, outcomes: Iterable[Frame | InvalidInput]
+        self, name: str, outcomes: Iterable[Frame | FewcalError]
     ) -> Generator[Frame, None, tuple[str, int]]:
         """Pass sound frames on; returns the first failure, as a sentence, and the number of frames."""
         failures, first_failure, read = 0, "", 0
@@ -144,17 +144,17 @@ class FrameReader:
         return first_failure, read
 
 
-def _images(paths: Iterable[Path]) -> Iterator[Frame | InvalidInput]:
+def _images(paths: Iterable[Path]) -> Iterator[Frame | FewcalError]:
     for path in paths:
-        with readable(path):
-            data = path.read_bytes()
         try:
+            with readable(path):
+                data = path.read_bytes()
             yield Frame(decode_grey(data, path.name), None, "", path.name)
-        except InvalidInput as failure:
+        except FewcalError as failure:  # noqa: PERF203 - one unreadable image costs no other
             yield failure
 
 
-def _recorded(recording: Recording, topic: str) -> Iterator[Frame | InvalidInput]:
+def _recorded(recording: Recording, topic: str) -> Iterator[Frame | FewcalError]:
     for raw in recording.messages(topic):
         if raw.type in IMAGE_TYPES:
             try:
@@ -188,10 +188,8 @@ def _choose_topic(topics: Sequence[Topic], wanted: str | None) -> str:
     """Name of the image topic to read, or a sentence that says what there is."""
     images = _image_topics(topics)
     if not images:
-        there = f"only {_listing(topics)}" if topics else "no topics at all"
-        raise RecordingError(
-            f"There is no image topic but {there}; record sensor_msgs Image or CompressedImage."
-        )
+        there = f"no image topic but only {_listing(topics)}" if topics else "no topic at all"
+        raise RecordingError(f"There is {there}; record sensor_msgs Image or CompressedImage.")
     if wanted is not None:
         for topic in images:
             if topic.name.lstrip("/") == wanted.lstrip("/"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 
@@ -14,7 +15,7 @@ from fewcal.known_object import PIXEL_SUFFIXES, pixel_file
 
 from .encoded import decode_grey
 from .messages import Frame
-from .recordings import IMAGE_SUFFIXES, is_recording, readable
+from .recordings import is_image, is_recording, readable
 
 
 class PixelFrames:
@@ -65,8 +66,9 @@ class _Source:
     """One image, or a file of pixels and how large their image is."""
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None) -> None:
-        self._pixels = pixel_file(path)
-        self._image = path if path != self._pixels else _image_of(path)
+        # What was named is where the pixels are looked for again.
+        self._named = path
+        self._image = path if path != pixel_file(path) else _image_of(path)
         self._size = image_size
         if self._image is None and image_size is None:
             raise InvalidInput(
@@ -76,7 +78,7 @@ class _Source:
     def frame(self) -> Frame:
         if self._image is None:
             assert self._size is not None
-            return Frame(np.zeros(self._size[::-1], np.uint8), None, "", str(self._pixels))
+            return Frame(np.zeros(self._size[::-1], np.uint8), None, "", str(self._named))
         with readable(self._image):
             data = self._image.read_bytes()
         image = decode_grey(data, self._image.name)
@@ -85,25 +87,38 @@ class _Source:
             raise InvalidInput(
                 f"{self._image.name} is {width}x{height}; leave --image-size out, or correct it."
             )
-        return Frame(image, None, "", str(self._image))
+        return Frame(image, None, "", str(self._named))
 
 
 def _expanded(path: Path) -> list[Path]:
     """A file itself; of a folder every file of pixels."""
-    if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.name.lower().endswith(PIXEL_SUFFIXES))
-        if not files:
-            raise InvalidInput(f"{path} holds no files of pixels, whose names end in {PIXEL_SUFFIXES[0]}.")
-        return files
-    if not path.is_file():
-        raise InvalidInput(f"{path} does not exist; check the path.")
-    if is_recording(path):
-        raise InvalidInput(f"{path} is a recording, which has no pixels of named points; give images.")
+    with readable(path):
+        if path.is_dir():
+            files = sorted(file for file in path.iterdir() if file.name.lower().endswith(PIXEL_SUFFIXES))
+            if not files:
+                raise InvalidInput(
+                    f"{path} holds no files of pixels, whose names end in {PIXEL_SUFFIXES[0]}."
+                )
+            for one, other in pairwise(files):
+                if _stem(one) == _stem(other):
+                    raise InvalidInput(
+                        f"{one.name} and {other.name} are of one image; remove one, or name those to use."
+                    )
+            return files
+        if not path.is_file():
+            raise InvalidInput(f"{path} does not exist; check the path.")
+        if is_recording(path):
+            raise InvalidInput(f"{path} is a recording, which has no pixels of named points; give images.")
     return [path]
+
+
+def _stem(pixels: Path) -> str:
+    """Name of the image of a file of pixels, without its suffix."""
+    return pixels.name[: -len(PIXEL_SUFFIXES[0])]
 
 
 def _image_of(pixels: Path) -> Path | None:
     """Image that a file of pixels belongs to."""
-    stem = pixels.name[: -len(PIXEL_SUFFIXES[0])]
-    beside = (file for file in sorted(pixels.parent.iterdir()) if file.stem == stem)
-    return next((file for file in beside if file.suffix.lower() in IMAGE_SUFFIXES and file.is_file()), None)
+    with readable(pixels.parent):
+        beside = sorted(file for file in pixels.parent.iterdir() if file.stem == _stem(pixels))
+        return next((file for file in beside if file.is_file() and is_image(file)), None)

@@ -19,7 +19,7 @@ from fewcal.errors import FewcalError
 
 from .encoded import looks_like_image
 from .errors import RecordingError
-from .storage import ZSTD_MAGIC, Contents, Damage, RawMessage, Storage, Topic, decompress_file
+from .storage import ZSTD_BEGINNINGS, Contents, Damage, RawMessage, Storage, Topic, decompress_file
 from .storage_mcap import MAGIC as MCAP_MAGIC
 from .storage_mcap import McapStorage
 from .storage_rosbag1 import MAGIC as ROSBAG1_MAGIC
@@ -115,11 +115,15 @@ def readable(path: Path) -> Iterator[None]:
 @contextmanager
 def _open_storage(path: Path) -> Iterator[Storage]:
     head = read_head(path)
-    if head.startswith(ZSTD_MAGIC):
+    if head.startswith(ZSTD_BEGINNINGS):
         with TemporaryDirectory(prefix="fewcal-") as folder:
             damage = Damage()
             plain = Path(folder, path.stem)
             decompress_file(path, plain, damage)
+            if damage and not plain.stat().st_size:
+                raise RecordingError(
+                    f"{path} is damaged and cannot be read; copy it again or record it again."
+                )
             storage = _storage(plain, read_head(plain), path)
             storage.damage.cut_off |= damage.cut_off
             yield storage
@@ -149,16 +153,31 @@ def read_head(path: Path) -> bytes:
         return file.read(_HEAD_BYTES)
 
 
+def _head_if_readable(path: Path) -> bytes:
+    """First bytes of a file; none of one that may not be read, which its name alone tells what it is."""
+    try:
+        return read_head(path)
+    except OSError:
+        return b""
+
+
 def is_recording(path: Path) -> bool:
     """Whether a file is a recording by what it begins with, or meant to be one by its name."""
-    head = read_head(path)
-    known = head.startswith((*_STORAGES, ZSTD_MAGIC))
+    return _begins_recording(path, read_head(path))
+
+
+def _begins_recording(path: Path, head: bytes) -> bool:
+    known = head.startswith((*_STORAGES, *ZSTD_BEGINNINGS))
     return known or (path.suffix.lower() in _RECORDING_SUFFIXES and not looks_like_image(head))
 
 
 def is_image(path: Path) -> bool:
     """Whether a file is an image by what it begins with, or meant to be one by its name."""
-    return looks_like_image(read_head(path)) or path.suffix.lower() in IMAGE_SUFFIXES
+    return _begins_image(path, read_head(path))
+
+
+def _begins_image(path: Path, head: bytes) -> bool:
+    return looks_like_image(head) or path.suffix.lower() in IMAGE_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -188,8 +207,9 @@ def open_source(path: Path) -> Source:
 
 def _open_folder(folder: Path) -> Source:
     files = sorted((file for file in folder.iterdir() if file.is_file()), key=_natural_order)
-    recordings = [file for file in files if is_recording(file)]
-    images = [file for file in files if file not in recordings and is_image(file)]
+    heads = {file: _head_if_readable(file) for file in files}
+    recordings = [file for file in files if _begins_recording(file, heads[file])]
+    images = [file for file in files if file not in recordings and _begins_image(file, heads[file])]
     if (folder / "metadata.yaml").exists():
         recordings, warnings = _as_metadata_says(folder, recordings)
     elif recordings and images:
@@ -214,7 +234,9 @@ def _open_folder(folder: Path) -> Source:
 def _as_metadata_says(folder: Path, recordings: list[Path]) -> tuple[list[Path], list[str]]:
     """Recordings that the metadata of a rosbag2 folder names, in its order; all if it is of no use."""
     try:
-        metadata = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        metadata = yaml.safe_load((folder / "metadata.yaml").read_text("utf-8"))[
+            "rosbag2_bagfile_information"
+        ]
         # Early versions give paths from where the recorder ran.
         named = [PurePosixPath(str(name)).name for name in metadata["relative_file_paths"]]
     except Exception:

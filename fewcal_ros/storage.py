@@ -10,6 +10,7 @@ from __future__ import annotations
 import bz2
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
 
@@ -17,6 +18,8 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 T = TypeVar("T")
+
+_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, order=True)
@@ -141,6 +144,8 @@ def decompress(compression: str, data: bytes) -> bytes:
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+ZSTD_BEGINNINGS = (ZSTD_MAGIC, *(bytes([number]) + b"\x2a\x4d\x18" for number in range(0x50, 0x60)))
+"""Of a zstd file: a frame, or one to be skipped, with which parallel compressors begin (RFC 8878, 3.1)."""
 
 
 def plain_cdr(data: bytes) -> bytes:
@@ -149,8 +154,9 @@ def plain_cdr(data: bytes) -> bytes:
 
 
 def decompress_file(path: Path, target: Path, damage: Damage) -> None:
-    """Decompress a zstd file as far as it goes."""
+    """Decompress a zstd file, of one frame or of several, as far as it goes."""
     with path.open("rb") as source, target.open("wb") as sink:
-        blocks = zstandard.ZstdDecompressor().read_to_iter(source)
-        for block in until_damage(iter(blocks), damage):
+        plain = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
+        blocks = iter(partial(plain.read1, _BLOCK_BYTES), b"")
+        for block in until_damage(blocks, damage):
             sink.write(block)

@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import version
@@ -20,6 +21,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import pytest
+import zstandard
 from board_frames import Image, empty, flat, pair
 from board_pictures import CAMERA
 from circle_pictures import ASYMMETRIC, SYMMETRIC, two_views
@@ -43,7 +45,9 @@ from fewcal_ros.cli import main
 BOARD = "chessboard:9x6:0.025"
 TOPIC = "/camera/image_raw"
 ROOT = Path(__file__).parents[1]
+BAGS = ROOT / "bags"
 COMMAND = [sys.executable, "-m", "fewcal_ros.cli"]
+AS_INSTALLED = [sys.executable, "-c", "import sys; from fewcal_ros.command import main; sys.exit(main())"]
 TIMEOUT_S = 60
 
 
@@ -265,8 +269,7 @@ def test_a_known_lens_narrows_the_answer(run: Any, flat_image: str) -> None:
 
 @pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-", "<&- 2>&-"])
 def test_streams_that_are_closed_change_nothing(good_images: list[str], tmp_path: Path, closed: str) -> None:
-    code = "import sys; from fewcal_ros.command import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, *calibrate(*good_images), "--out", tmp_path]
+    command = [*AS_INSTALLED, *calibrate(*good_images), "--out", tmp_path]
     done = execute(["sh", "-c", f"{shlex.join(map(str, command))} {closed}"])
     assert done.returncode == 0
     assert (tmp_path / "camera.yaml").is_file()
@@ -650,7 +653,47 @@ def test_a_full_disk_behind_stdout(recording: str) -> None:
     assert "No space left" in done.stderr
 
 
-BAGS = ROOT / "bags"
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has it")
+def test_warnings_that_nobody_can_read_cost_no_result(tmp_path: Path) -> None:
+    whole = (BAGS / "arm.mcap").read_bytes()
+    damaged, out = tmp_path / "cut.mcap", tmp_path / "out"
+    damaged.write_bytes(whole[: len(whole) * 3 // 4])
+    command = [*COMMAND, "calibrate", damaged, "--board", BOARD, "--out", out, "--json"]
+    with Path("/dev/full").open("w") as full:
+        done = execute(command, stdout=subprocess.PIPE, stderr=full)
+    assert done.returncode == 0
+    assert done.stdout == (out / "calibration.json").read_text()
+    assert (out / "camera.yaml").is_file()
+
+
+@pytest.mark.parametrize("arguments", [calibrate("nowhere.png"), [*calibrate("x.png"), "--frobnicate"]])
+def test_errors_that_nobody_can_read_keep_their_exit_code(arguments: list[str]) -> None:
+    ours, theirs = os.pipe()
+    os.close(ours)
+    with os.fdopen(theirs, "w") as closed:
+        done = execute([*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=closed)
+    assert (done.returncode, done.stdout) == (2, "")
+
+
+def test_terminated_in_the_middle_it_leaves_nothing(tmp_path: Path) -> None:
+    """A recording that was compressed as a whole has a copy beside it while it is read."""
+    compressed, copies = tmp_path / "arm.mcap.zstd", tmp_path / "copies"
+    compressed.write_bytes(zstandard.compress((BAGS / "arm.mcap").read_bytes()))
+    copies.mkdir()
+    command = [*AS_INSTALLED, *calibrate(*[compressed] * 20)]
+    with subprocess.Popen(
+        [str(part) for part in command],
+        env={**subprocess_environment(), "TMPDIR": str(copies)},
+        preexec_fn=partial(signal.signal, signal.SIGTERM, signal.SIG_DFL),
+    ) as process:
+        while not list(copies.glob("*/arm.mcap")):
+            assert process.poll() is None
+            time.sleep(0.001)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(TIMEOUT_S) == 143
+    assert list(copies.iterdir()) == []
+
+
 TRUTH: dict[str, Any] = json.loads((BAGS / "truth.json").read_text())
 
 

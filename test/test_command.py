@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import signal
+from pathlib import Path
 
+import pytest
 from interpreter import IMPORT_THAT_IS_INTERRUPTED, run_python
 
 
@@ -30,3 +32,13 @@ def test_a_defect_is_not_taken_for_a_camera_that_is_not_usable() -> None:
     assert (code, out) == (70, "")
     assert "ZeroDivisionError" in err
     assert err.endswith("fewcal: This is a defect of fewcal; please report it with the lines above.\n")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has it")
+def test_a_defect_that_nobody_can_read_about_keeps_its_exit_code() -> None:
+    code, out, _ = run_python(
+        "import os, sys, fewcal_ros.cli as cli; cli._run = lambda arguments: 1 / 0\n"
+        "os.dup2(os.open('/dev/full', os.O_WRONLY), 2)\n"
+        "from fewcal_ros.command import main; sys.exit(main())"
+    )
+    assert (code, out) == (70, "")

@@ -128,7 +128,7 @@ class TestTopics:
             open_frames([write_rosbag2(tmp_path, [text(0)])])
 
     def test_an_empty_recording_has_no_topics(self, tmp_path: Path) -> None:
-        with pytest.raises(RecordingError, match="no topics at all"):
+        with pytest.raises(RecordingError, match="no topic at all"):
             open_frames([write_mcap(tmp_path, [])])
 
     def test_a_silent_topic_leaves_no_choice(self, tmp_path: Path) -> None:
@@ -294,3 +294,18 @@ def test_a_file_that_is_an_image_by_its_name_alone_is_not_passed_over(tmp_path: 
     frames, reader = read(tmp_path)
     assert numbers(frames) == [1]
     assert "1 of 2 frames are left out. 2.PNG" in reader.warnings[0]
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="a file that even root cannot read")
+def test_a_file_that_cannot_be_read_costs_no_other(tmp_path: Path) -> None:
+    for name in ("a.png", "c.png"):
+        cv2.imwrite(str(tmp_path / name), np.zeros((4, 6), np.uint8))
+    for name in ("b.png", "notes.txt"):
+        (tmp_path / name).symlink_to("/proc/self/mem")
+    with open_frames([tmp_path]) as reader:
+        assert [frame.source for frame in reader] == ["a.png", "c.png"]
+        assert (reader.total, reader.skipped) == (3, 1)
+    (warning,) = reader.warnings
+    assert "b.png cannot be read: Input/output error" in warning
+    with pytest.raises(RecordingError, match=r"b\.png cannot be read"):
+        list(open_frames([tmp_path / "b.png"]))

@@ -14,6 +14,7 @@ from test_known_object import POINTS, pixels_at, write
 from write_recordings import image, write_mcap
 
 import fewcal
+from fewcal.known_object import read_named
 from fewcal_ros.parameters import Parameters
 from fewcal_ros.pixel_frames import PixelFrames
 
@@ -43,8 +44,46 @@ def test_images_with_their_pixels_calibrate(run: Any, plate: str, tmp_path: Path
 
 def test_an_image_is_found_however_its_suffix_is_written(plate: str, tmp_path: Path) -> None:
     (tmp_path / "photo0.jpg").rename(tmp_path / "photo0.JPG")
-    sources = [frame.source for frame in PixelFrames([tmp_path], None)]
-    assert sources == [str(tmp_path / name) for name in ("photo0.JPG", "photo1.jpg", "photo2.jpg")]
+    (tmp_path / "photo1.pixels.txt").rename(tmp_path / "photo1.PIXELS.CSV")
+    assert [frame.image.shape for frame in PixelFrames([tmp_path], None)] == [SIZE[::-1]] * 3
+    (frame,) = PixelFrames([tmp_path / "photo1.jpg"], None)
+    assert len(fewcal.detect(frame.image, fewcal.parse_board(plate), source=frame.source)) == len(POINTS)
+
+
+def test_images_of_every_kind_have_pixels_beside_them(plate: str, tmp_path: Path) -> None:
+    photo = tmp_path / "photo0.jpg"
+    cv2.imwrite(str(photo.with_suffix(".pnm")), np.zeros(SIZE[::-1], np.uint8))
+    photo.unlink()
+    assert PixelFrames([tmp_path], None).total == 3
+
+
+def test_the_file_of_pixels_that_is_named_is_the_one_that_is_read(
+    run: Any,  # noqa: F811
+    plate: str,
+    tmp_path: Path,
+) -> None:
+    first = tmp_path / "photo0.pixels.txt"
+    named = first.with_suffix(".csv")
+    seen = read_named(first, (2,), "name u v")
+    write(named, {name: (u + 3, v) for name, (u, v) in seen.items()})
+    one = run("calibrate", first, "--board", plate, "--views", 1, "--json").content
+    other = run("calibrate", named, "--board", plate, "--views", 1, "--json").content
+    assert other["views"][0]["source"] == str(named)
+    assert other["camera"] != one["camera"]
+    # Which of the two is meant only the user knows.
+    for source in (tmp_path, tmp_path / "photo0.jpg"):
+        result = run("calibrate", source, "--board", plate, "--json")
+        assert (result.code, result.out) == (2, "")
+        assert_one_sentence(result.err)
+        assert "photo0.pixels.csv" in result.err
+        assert "photo0.pixels.txt" in result.err
+
+
+def test_names_that_are_too_long_are_not_the_fault_of_the_output(run: Any, plate: str) -> None:  # noqa: F811
+    result = run("calibrate", "x" * 300, "--board", plate)
+    assert (result.code, result.out) == (2, "")
+    assert_one_sentence(result.err)
+    assert "x" * 300 in result.err
 
 
 def test_pixels_alone_need_the_size_of_the_image(run: Any, plate: str, tmp_path: Path) -> None:  # noqa: F811

@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from write_recordings import (
@@ -332,6 +333,27 @@ def test_what_is_no_recording_ends_in_one_sentence(tmp_path: Path) -> None:
         assert sentence.endswith("."), name
         assert "\n" not in sentence, name
         assert name.partition("/")[2] in sentence, name
+
+
+@pytest.mark.parametrize("beginning", [b"", b"\x50\x2a\x4d\x18" + bytes([3, 0, 0, 0]) + b"abc"])
+def test_a_file_of_several_zstd_frames_is_read_whole(tmp_path: Path, beginning: bytes) -> None:
+    """As parallel compressors write it, some with a frame to be skipped in front."""
+    plain = write_mcap(tmp_path, MIXED)
+    data = plain.read_bytes()
+    half = len(data) // 2
+    compressed = tmp_path / "several.mcap.zstd"
+    compressed.write_bytes(beginning + zstandard.compress(data[:half]) + zstandard.compress(data[half:]))
+    assert recording_info(compressed).topics == recording_info(plain).topics
+    assert surviving(compressed) == surviving(plain)
+
+
+def test_a_damaged_zstd_file_is_not_called_empty(tmp_path: Path) -> None:
+    compressed = tmp_path / "run.mcap.zstd"
+    data = bytearray(zstandard.compress(write_mcap(tmp_path, MIXED).read_bytes()))
+    data[6:200] = bytes(194)
+    compressed.write_bytes(data)
+    with pytest.raises(RecordingError, match="is damaged"):
+        open_frames([compressed])
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")

@@ -301,19 +301,23 @@ class LiveCalibration:
         prepare()  # half a second, which no capture should wait for
         while (letter := self._mailbox.take()) is not None:
             start = time.monotonic()
+            request = self._claim(letter)
             try:
-                look = self._look_at(letter)
+                look = self._look_at(letter, request)
             except Exception as error:  # whatever is wrong with one image, the next may be better
                 traceback.print_exc()
                 look = Look(letter.message, problem=unexpected(error))
+                _answer(request, Refused(look.problem))
             if look.decision is not None or look.problem or self._last is None:
                 # What the camera saw last stays known while images pass by that nobody needs.
                 self._last, self._last_took_s = look, time.monotonic() - start
             if not self._mailbox.closed:
-                self._report(look)
+                try:
+                    self._report(look)
+                except Exception:  # what cannot be told costs no view
+                    traceback.print_exc()
 
-    def _look_at(self, letter: Letter) -> Look:
-        request = self._claim(letter)
+    def _look_at(self, letter: Letter, request: Future[Decision] | None) -> Look:
         try:
             frame = self._read(letter.message)
         except FewcalError as error:

@@ -239,7 +239,11 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         calibration = result.calibration
         if not calibration.verdict.usable and not self._settings.publish_unusable:
             return False
-        info = self._message_of(result)
+        try:
+            info = self._message_of(result)
+        except InvalidInput as error:
+            self.get_logger().error(str(error))
+            return False
         self._released = result, info
         self._camera_info.publish(info)
         self.get_logger().info(_summary(calibration))
@@ -379,11 +383,18 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
     def _apply_parameters(self, changes: Sequence[Parameter]) -> None:
         before = self._settings
         self._settings = before.changed({change.name: change.value for change in changes})
-        self._live.configure(self._settings)
-        result, allowed = self._live.result, self._settings.publish_unusable and not before.publish_unusable
-        if allowed and result is not None and not result.calibration.verdict.usable:
-            self._release(result)
-        self._publish_diagnostics()
+        try:
+            self._live.configure(self._settings)
+            result, allowed = (
+                self._live.result,
+                self._settings.publish_unusable and not before.publish_unusable,
+            )
+            if allowed and result is not None and not result.calibration.verdict.usable:
+                self._release(result)
+            self._publish_diagnostics()
+        except Exception as error:  # it would end the node, and the views with it
+            traceback.print_exc()
+            self.get_logger().error(unexpected(error))
 
 
 def _summary(calibration: Calibration) -> str:

@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 
 from fewcal.calibration import Calibration
 from fewcal.camera_info import CameraInfo
+from fewcal.errors import InvalidInput
 
 from .health import Level
 
@@ -29,11 +30,21 @@ def camera_info_of(calibration: Calibration, camera_name: str, rectify_alpha: fl
     camera_name : str
     rectify_alpha : float
         From 0 to 1 for the P of cv2.getOptimalNewCameraMatrix; negative for P = [K | 0].
+
+    Raises
+    ------
+    InvalidInput
+        When the distortion leaves no rectified image.
     """
     camera, size = calibration.camera, calibration.image_size
     projection = None
     if rectify_alpha >= 0:
         matrix, _ = cv2.getOptimalNewCameraMatrix(camera.matrix, camera.distortion, size, rectify_alpha)
+        if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
+            raise InvalidInput(
+                "The distortion folds the image, so that there is no rectified one; set rectify_alpha to -1, or "
+                "take views that make a usable camera."
+            )
         projection = np.pad(matrix, ((0, 0), (0, 1)))
     return CameraInfo(camera, size, camera_name, projection=projection)
 

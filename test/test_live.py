@@ -257,6 +257,25 @@ def test_an_image_that_cannot_be_read_is_an_error_until_the_next(bench):
     assert judge_health(bench.live.status())[0] is Level.WARN
 
 
+def test_a_defect_ends_neither_a_capture_nor_the_worker(bench, monkeypatch, capsys):
+    def fail(message):
+        raise RuntimeError("unforeseen")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(bench.live, "_read", fail)
+        answer = bench.capture(pair()[0]).get(timeout=TIMEOUT_S)
+    assert isinstance(answer, Refused)
+    assert "unforeseen" in str(answer)
+    with monkeypatch.context() as patched:
+        reported = threading.Event()
+        patched.setattr(bench.live, "_report", lambda look: reported.set() or fail(look))
+        bench.offer(pair()[0])
+        assert reported.wait(TIMEOUT_S)
+    bench.show(pair()[1])
+    assert len(bench.live.status().views) == 2
+    assert capsys.readouterr().err.count("RuntimeError: unforeseen") == 2
+
+
 def test_a_driver_that_dies_after_an_image_that_cannot_be_read_is_missed(bench):
     bench.show(None)
     gone = replace(bench.live.status(), idle_s=9.0, silence="Nobody is there.")

@@ -20,6 +20,10 @@ from fewcal.views import View
 from .messages import Frame
 
 
+PAIR = 2
+"""Views that make a camera; with fewer of a board held still, those of one in motion are taken as well."""
+
+
 @dataclass(frozen=True)
 class Settings:
     """What the user asks for.
@@ -138,8 +142,9 @@ def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome
         elif decision.reason == "moving" and decision.detection is not None:
             moving.setdefault(size_of(frame.image), []).append(decision.detection.view)
     rejected = look.rejected.copy()
-    if max(map(len, good.values()), default=0) < (settings.views or 1) and moving:
-        # A board that is never held still, but sharp all the same, is better than no answer.
+    if max(map(len, good.values()), default=0) < min(settings.views or 1, PAIR) and moving:
+        # A board that is never held still, but sharp all the same, is better than no answer. The first frame
+        # has none before it, and counts as still whether it is or not.
         for size, views in moving.items():
             good.setdefault(size, []).extend(views)
         rejected["moving"] = 0

@@ -159,6 +159,16 @@ def test_still_views_are_preferred_to_moving_ones() -> None:
     assert outcome.calibration.verdict.reasons == ()
 
 
+def test_with_fewer_still_views_than_asked_for_none_in_motion_are_taken() -> None:
+    still = [image for image in pair() for _ in range(2)]
+    small = [shown(40.0, 10.0, shift_px=6.0 * i)[8:-8] for i in range(4)]
+    outcome = calibrated([empty(), *still, shown(60.0, 150.0), *small], PERIOD_NS, views=3)
+    assert outcome.calibration.image_size == (640, 480)
+    assert [number in (2, 4) for number in used(outcome)] == [True, True]
+    assert outcome.rejected["moving"] == 7
+    assert outcome.calibration.verdict.reasons == ("Only 2 good views were found, 3 were asked for.",)
+
+
 def test_the_size_with_most_good_views_counts() -> None:
     small = [image[8:-8] for image in pair()]
     outcome = calibrated([flat(), *small, empty()])

@@ -14,7 +14,7 @@ from .adjustment import Estimate
 from .camera import Camera
 from .checks import real_array, require_kind
 from .constraints import PRIOR_ROWS, Priors
-from .copies import copies
+from .copies import Copies, copies
 from .departures import COUNT, lens_remainder
 from .errors import DegenerateViews, InvalidInput
 from .least_squares import Stop
@@ -212,7 +212,7 @@ def _result(
     found: Estimate,
     solution: Solution,
     views: tuple[View, ...],
-    alike: Array,
+    alike: Copies,
     size: tuple[int, int],
     method: str,
     priors: Priors,
@@ -232,7 +232,7 @@ def _result(
     evidence = Evidence(
         rotations=found.geometry.rotation[0],
         extents=np.array([extent(view.image_points, size) for view in views]),
-        copies=alike,
+        copies=alike.times,
         outside_px=max(outside(view.image_points, size) for view in views),
         camera=solution.camera,
         image_size=size,

@@ -9,6 +9,7 @@ Views from elsewhere repeat a small part of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,32 +20,46 @@ SAME_PLACE = 0.002
 """Distance of the boards in two views, as a share of the image diagonal, at which the second still counts by
 its part of 1 - exp(-1/2) = 0.4: a board that nobody has moved stays within, one tilted anew does not."""
 
-
 SHARED = 0.05
 """Share of the variance of a view's errors that every other view repeats, wherever it shows the board: how
 the board was printed, and what the lens does beyond the model. With it the error bars of 30 and 100 views
 hold as those of two do (doc/estimator.md)."""
 
 
-def copies(views: Sequence[View], image_size: tuple[int, int]) -> NDArray[np.float64]:
-    """How many views show the board where each does, itself among them, those nearby counting in part.
+class Copies(NamedTuple):
+    """Which of V views show the board in the same place.
+
+    Attributes
+    ----------
+    times : (V,)
+        How many do where each does, itself among them, those nearby counting in part.
+    original : (V,) of int
+        The first view that each repeats, point by point; itself where there is none.
+    """
+
+    times: NDArray[np.float64]
+    original: NDArray[np.intp]
+
+
+def copies(views: Sequence[View], image_size: tuple[int, int]) -> Copies:
+    """Compare views with each other.
 
     Parameters
     ----------
     views : sequence of V View
     image_size : (width, height), pixels
-
-    Returns
-    -------
-    (V,)
     """
-    count, scale = np.ones(len(views)), SAME_PLACE * np.hypot(*image_size)
+    count, original, scale = np.ones(len(views)), np.arange(len(views)), SAME_PLACE * np.hypot(*image_size)
     for group in _of_one_board(views):
         points = align_views([views[i] for i in group])
         apart = np.stack([distances(points, i) for i in range(len(group))])
         alike = np.exp(-0.5 * (apart / scale) ** 2).sum(axis=1)
         count[group] = np.maximum(alike, 1)  # a view without points is nowhere
-    return count
+        for later, earlier in np.argwhere(np.tril(apart <= scale, -1)):
+            i, j = group[later], group[earlier]
+            if original[i] == i and np.array_equal(views[i].object_points, views[j].object_points):
+                original[i] = original[j]
+    return Copies(count, original)
 
 
 def _of_one_board(views: Sequence[View]) -> list[NDArray[np.intp]]:

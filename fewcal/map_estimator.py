@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .adjustment import Adjustment, Estimate, Geometry
 from .closed_form import simplified_intrinsics
 from .constraints import Normal, Priors
-from .copies import share_weight
+from .copies import Copies, share_weight
 from .departures import COUNT, Departures
 from .elimination import eliminate
 from .errors import DegenerateViews
@@ -87,7 +87,7 @@ rest of the way is that to the middle of the posterior."""
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def estimate_map(
-    views: ViewStack, image_size: tuple[int, int], priors: Priors, count: Array | None = None
+    views: ViewStack, image_size: tuple[int, int], priors: Priors, alike: Copies | None = None
 ) -> Estimate:
     """Find the camera and poses in the middle of the posterior.
 
@@ -96,27 +96,28 @@ def estimate_map(
     views : ViewStack
     image_size : (width, height), pixels
     priors : Priors
-    count : (V,), optional
-        Views that show the board where each does, see :func:`fewcal.copies.copies`.
+    alike : Copies, optional
+        Of these views, see :func:`fewcal.copies.copies`; none are alike when left out.
 
     Raises
     ------
     DegenerateViews
         When no start leads to a camera with the board in front of it.
     """
-    shared = views if count is None else share_weight(views, count)
-    found = _estimate(shared, ScaleFree(image_size), priors)
+    alike = alike or Copies(np.ones(len(views.points)), np.arange(len(views.points)))
+    shared = share_weight(views, alike.times)
+    found = _estimate(shared, ScaleFree(image_size), priors, alike)
     if found.lowest_scatter < COMPUTED_PX:
         # Points this exact were computed: they have no errors to repeat, however alike the views are, and if
         # board and lens can be perfect they are. Perhaps the camera is the paper's, whose distortion acts on
         # pixels.
         exact = replace(priors, board_bend=NONE, lens_remainder=NONE, print_stretch=NONE)
         models = [ScaleFree(image_size, in_pixels) for in_pixels in (False, True)]
-        perfect = [_estimate(views, model, exact, found.estimate.geometry) for model in models]
+        perfect = [_estimate(views, model, exact, alike, found.estimate.geometry) for model in models]
         best = min(perfect, key=lambda each: each.objective)
         if best.lowest_scatter < COMPUTED_PX:
             return best.estimate
-        found = _estimate(views, ScaleFree(image_size), priors)
+        found = _estimate(views, ScaleFree(image_size), priors, alike)
     return found.estimate
 
 
@@ -128,17 +129,17 @@ class _Found(NamedTuple):
     lowest_scatter: float
 
 
-def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometry | None = None) -> _Found:
+def _estimate(
+    views: ViewStack, model: ScaleFree, priors: Priors, alike: Copies, start: Geometry | None = None
+) -> _Found:
     """Find the best minimum for one camera model, or the one that a start leads to."""
-    noise = Noise.of(views, priors)
-    problem = Adjustment(views, model, priors.rows(model.image_size), noise)
-    starts = None if start is not None else _starts(views, model, priors)
-    if starts is not None:
-        start = _departing(_contenders(problem.believing(noise.known()), starts).state)
-    assert start is not None
-    # The departures of board and lens are too small to matter before.
-    departures = Departures.of(views.points, views.pixels, model.image_size, model.centre)
-    problem = replace(problem, departures=departures)
+    problem = _problem(views, model, priors)
+    noise, starts = problem.noise, None
+    assert noise is not None
+    if start is None:
+        few, place = _few(problem, alike, priors)
+        starts = _starts(few.views, model, priors)
+        start = _repeated(_contenders(few, starts, place), place)
     found = _descend(problem, start)
     first, (scatter, objective) = found, _ahead(problem, noise, found)
     if objective < found.objective[0] - WORTHWHILE:
@@ -146,10 +147,38 @@ def _estimate(views: ViewStack, model: ScaleFree, priors: Priors, start: Geometr
         scatter = float(noise.scatter(trusting.equations.squares)[0])
         found = _lower(found, _descend(problem, trusting.state))
     if starts is not None and _doubtful(problem, first, scatter):
-        found = _lower(found, _descend(problem, _unprejudiced(problem, starts)))
+        found = _lower(found, _descend(problem, _repeated(_unprejudiced(few, starts), place)))
     settled, state, sigma = _settled(problem, found)
     estimate = Estimate(settled, state, sigma, Stop(int(found.stop[0])))
     return _Found(estimate, float(found.objective[0]), scatter)
+
+
+def _problem(views: ViewStack, model: ScaleFree, priors: Priors) -> Adjustment:
+    departures = Departures.of(views.points, views.pixels, model.image_size, model.centre)
+    return Adjustment(views, model, priors.rows(model.image_size), Noise.of(views, priors), departures)
+
+
+def _few(problem: Adjustment, alike: Copies, priors: Priors) -> tuple[Adjustment, NDArray[np.intp]]:
+    """Leave copies out, where there are too many views for all their poses to be combined.
+
+    Returns
+    -------
+    problem : Adjustment
+        Of the views left, each with the weight of its copies.
+    place : (V,) which of them each view repeats
+    """
+    kept, place, times = np.unique(alike.original, return_inverse=True, return_counts=True)
+    if len(place) <= ENUMERATED_VIEWS or len(kept) == len(place):
+        return problem, np.arange(len(place))
+    views = take(problem.views, kept)
+    views = views._replace(weights=views.weights * np.sqrt(times)[:, None])
+    assert isinstance(problem.model, ScaleFree)
+    return _problem(views, problem.model, priors), place
+
+
+def _repeated(state: Geometry, place: NDArray[np.intp]) -> Geometry:
+    """Give copies the pose of the view at some place, which each repeats."""
+    return state._replace(rotation=state.rotation[:, place], position=state.position[:, place])
 
 
 def _departing(state: Geometry) -> Geometry:
@@ -316,17 +345,20 @@ def _arrangements(start: Geometry, priors: PriorRows) -> tuple[NDArray[np.intp],
     return source.reshape(-1, views), arrangement.ravel()
 
 
-def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
+def _contenders(problem: Adjustment, start: Geometry, place: NDArray[np.intp]) -> Geometry:
     """Let the starts descend, and keep the best of each arrangement of the boards that is not hopeless.
 
-    With one view the kind of lenses that a start has is part of the arrangement.
+    With one view the kind of lenses that a start has is part of the arrangement. The departures of board and
+    lens are too small to matter before; they are zero.
+
     Given how the boards are tilted, to this side or to that, the camera has one minimum; the valley from
     focal length to focal length is walked by :meth:`Adjustment.retract`. So the focal lengths from which one
     step leads lowest stand for all.
     """
-    priors = problem.constraint
-    assert problem.noise is not None
+    priors, noise = problem.constraint, problem.noise
+    assert noise is not None
     assert isinstance(priors, PriorRows)
+    problem = replace(problem, noise=noise.known(), departures=None)
     # Each view is linearised once for each focal length and pose, and then combined.
     equations = problem.linearise(start)
     source, arrangement = _arrangements(start, priors)
@@ -334,7 +366,9 @@ def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     allowed = np.flatnonzero(np.isfinite(equations.squares))
     if not len(allowed):
         alone = np.flatnonzero(~np.isfinite(equations.groups[..., -1, -1]).any(axis=0))
-        which = f"view {alone[0] + 1} of {source.shape[1]}" if len(alone) else "these views"
+        # Views are counted as they were given, copies among them.
+        number = np.flatnonzero(place == alone[0])[0] + 1 if len(alone) else 0
+        which = f"view {number} of {len(place)}" if number else "these views"
         raise DegenerateViews(
             f"No camera has {which} in front of it; check that object and image points belong together, and "
             "that more than one of the points is off the line through the others."
@@ -347,11 +381,11 @@ def _contenders(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
     kept = _lowest(foreseen, arrangement, RUNNERS)
     kept = kept[foreseen[kept] <= PROMISING * foreseen.min() + HOPELESS]
     arrangement, source = arrangement[kept], source[kept]
-    several = problem.believing(problem.noise.repeat(len(kept)))
+    several = problem.believing(noise.known().repeat(len(kept)))
     found = minimise(
         several, _arranged(start, source), _COARSE, lead=HOPELESS, equations=take(equations, kept)
     )
-    return _best_of_each(found, arrangement)
+    return _departing(_best_of_each(found, arrangement).state)
 
 
 def _best_of_each(found: Minimum[Geometry], arrangement: NDArray[np.intp]) -> Minimum[Geometry]:

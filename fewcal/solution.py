@@ -12,7 +12,7 @@ from .adjustment import Estimate
 from .agreement import Disagreement, disagreement
 from .camera import Camera, project
 from .constraints import FOCAL, PRIOR_ROWS, Priors
-from .copies import share_weight
+from .copies import Copies, share_weight
 from .departures import COUNT, axial_remainder
 from .elimination import eliminate
 from .map_estimator import estimate_map
@@ -97,7 +97,7 @@ def map_solution(found: Estimate) -> Solution:
 
 
 def with_stated_focal(
-    solution: Solution, stack: ViewStack, size: tuple[int, int], priors: Priors, alike: Array
+    solution: Solution, stack: ViewStack, size: tuple[int, int], priors: Priors, alike: Copies
 ) -> Solution:
     """Hold a focal length that was stated, if any, against what the views say without it, both with their sd.
 
@@ -112,22 +112,22 @@ def with_stated_focal(
     return replace(solution, prior_conflicts={**conflicts, FOCAL: max(off, conflicts[FOCAL])})
 
 
-def pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alike: Array) -> Solution:
+def pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alike: Copies) -> Solution:
     """See what an estimator of :mod:`fewcal.zhu2020` found in images of a size, pixels.
 
-    `alike` (V,) are the copies of each view, see :func:`fewcal.copies.copies`.
+    `alike` are the copies among the views, see :func:`fewcal.copies.copies`.
     """
     model, theta = found.adjustment.model, found.geometry.theta[0]
     assert isinstance(model, PixelModel)
     # The paper weighs all views alike, also as n of eq 29; but copies tell nothing new.
-    shared = replace(found.adjustment, views=share_weight(found.adjustment.views, alike))
+    shared = replace(found.adjustment, views=share_weight(found.adjustment.views, alike.times))
     rows = shared.rows(found.geometry, found.sigma)
     coefficients = model.coefficients(theta)
     squares = (rows.r**2).sum(keepdims=True)[0] * found.sigma**2
     sigma = float(np.sqrt(Noise.of(shared.views, priors).variance(squares)[0]))
     covariance: Array | None = None
     if model.tangential:
-        penalty = found.adjustment.constraint(found.geometry.theta)[1][0] * np.sqrt((1 / alike).mean())
+        penalty = found.adjustment.constraint(found.geometry.theta)[1][0] * np.sqrt((1 / alike.times).mean())
         of_theta = gaussian_covariance(rows, penalty) * (sigma / found.sigma) ** 2
         covariance = _propagated(of_theta, plumb_bob_jacobian(theta))
     camera = nearest_plumb_bob(theta[:5], coefficients, size)

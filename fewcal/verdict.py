@@ -101,7 +101,7 @@ class Evidence:
     ----------
     rotations : (V, 3, 3) from the axes of the board's plane, of which the third is its normal, to the camera
     extents : (V,) of each view, see :func:`extent`
-    copies : (V,) views that show the board where each does, see :func:`fewcal.copies.copies`
+    copies : (V,) views that show the board where each does, see :class:`fewcal.copies.Copies`
     outside_px : float
         Largest distance of a point outside the image, pixels.
     camera : Camera
@@ -159,7 +159,7 @@ def degeneracies(
     ----------
     rotations : (V, 3, 3) from the axes of the board's plane, of which the third is its normal, to the camera
     extents : (V,) of each view, see :func:`extent`
-    copies : (V,) views that show the board where each does, see :func:`fewcal.copies.copies`
+    copies : (V,) views that show the board where each does, see :class:`fewcal.copies.Copies`
     thresholds : Thresholds
     """
     tilts = tilt_deg(rotations)

@@ -19,7 +19,6 @@ from fewcal.views import View
 
 from .messages import Frame
 
-
 PAIR = 2
 """Views that make a camera; with fewer of a board held still, those of one in motion are taken as well."""
 

@@ -42,8 +42,8 @@ def camera_info_of(calibration: Calibration, camera_name: str, rectify_alpha: fl
         matrix, _ = cv2.getOptimalNewCameraMatrix(camera.matrix, camera.distortion, size, rectify_alpha)
         if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
             raise InvalidInput(
-                "The distortion folds the image, so that there is no rectified one; set rectify_alpha to -1, or "
-                "take views that make a usable camera."
+                "The distortion folds the image, so that there is no rectified one; set rectify_alpha to -1, "
+                "or take views that make a usable camera."
             )
         projection = np.pad(matrix, ((0, 0), (0, 1)))
     return CameraInfo(camera, size, camera_name, projection=projection)

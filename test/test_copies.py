@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scenes import SIZE, views_at
+from scenes import noisy as with_noise
 
 import fewcal
 from fewcal.copies import SAME_PLACE, SHARED, copies, repetition, share_weight
@@ -27,7 +28,7 @@ def noisy(sigma: float | None = None) -> list[View]:
 
 def total(views: list[View]) -> NDArray[np.float64]:
     """Weight of each view, 1 for one by itself, but for what all views have in common."""
-    count = copies(views, SIZE)
+    count = copies(views, SIZE).times
     weights = share_weight(stack_views(views), count).weights
     return np.asarray((weights**2).mean(axis=1)) * repetition((1 / count).sum())
 
@@ -75,7 +76,7 @@ def test_a_corner_in_common_makes_no_copy() -> None:
     # Other boards are counted from (0, 0, 0), too, which may be seen at the same place.
     shift = first.image_points[0] - second.image_points[0]
     other = View(0.7 * second.object_points, second.image_points + shift)
-    np.testing.assert_array_equal(copies([first, other], SIZE), 1)
+    np.testing.assert_array_equal(copies([first, other], SIZE).times, 1)
 
 
 def test_views_are_compared_by_the_points_that_they_share() -> None:
@@ -84,10 +85,10 @@ def test_views_are_compared_by_the_points_that_they_share() -> None:
     other = View(first.object_points + np.array([9, 0, 0]), first.image_points)
     # The second view joins the other two, which have no point in common.
     start = View(first.object_points[:20], first.image_points[:20])
-    np.testing.assert_allclose(copies([start, part, second], SIZE), 1)
-    np.testing.assert_allclose(copies([part, other, first, first], SIZE), [3, 1, 3, 3])
+    np.testing.assert_allclose(copies([start, part, second], SIZE).times, 1)
+    np.testing.assert_allclose(copies([part, other, first, first], SIZE).times, [3, 1, 3, 3])
     np.testing.assert_allclose(
-        copies([other, first, View(other.object_points, second.image_points)], SIZE), 1
+        copies([other, first, View(other.object_points, second.image_points)], SIZE).times, 1
     )
 
 
@@ -99,6 +100,28 @@ def test_copies_leave_camera_and_error_bars_as_they_are(times: int) -> None:
     assert often.std == pytest.approx(once.std, rel=1e-4)
     assert often.sigma_px == pytest.approx(once.sigma_px, rel=1e-5)
     np.testing.assert_allclose(often.view_rms[:3], once.view_rms, rtol=1e-4)
+
+
+@pytest.mark.parametrize("seed", [0, 19, 20])
+def test_copies_do_not_hide_how_the_boards_are_tilted(seed: int) -> None:
+    """Small boards far away, which noise lets appear tilted to either side: each by its own pose of the two."""
+    rng = np.random.default_rng(seed)
+    tilts = [(rng.uniform(5, 50), rng.uniform(0, 360)) for _ in range(2)]
+    views = with_noise(views_at(*tilts, span=0.2), 1.0, seed)
+    once = fewcal.calibrate(views, SIZE)
+    for repeated in (views * 2, views[:1] * 3 + views[1:]):
+        often = fewcal.calibrate(repeated, SIZE)
+        np.testing.assert_allclose(often.camera.intrinsics, once.camera.intrinsics, rtol=1e-6)
+        assert often.focal_std == pytest.approx(once.focal_std, rel=1e-4)
+
+
+def test_an_original_is_a_view_of_the_same_points() -> None:
+    first, second, _ = noisy()
+    near = View(first.object_points, first.image_points + SAME_PLACE * DIAGONAL / 4)
+    nearer = View(first.object_points, first.image_points + SAME_PLACE * DIAGONAL / 2)
+    part = View(first.object_points[6:], first.image_points[6:])
+    found = copies([second, first, near, part, nearer, part, second], SIZE)
+    np.testing.assert_array_equal(found.original, [0, 1, 1, 3, 1, 3, 0])
 
 
 def test_computed_views_are_no_copies_however_alike_they_are() -> None:

@@ -159,7 +159,7 @@ def _problem(views: ViewStack, model: ScaleFree, priors: Priors) -> Adjustment:
 
 
 def _few(problem: Adjustment, alike: Copies, priors: Priors) -> tuple[Adjustment, NDArray[np.intp]]:
-    """Leave copies out, where there are too many views for all their poses to be combined.
+    """Leave copies out, which tell of the boards' poses what their originals do, and would take many starts.
 
     Returns
     -------
@@ -168,7 +168,7 @@ def _few(problem: Adjustment, alike: Copies, priors: Priors) -> tuple[Adjustment
     place : (V,) which of them each view repeats
     """
     kept, place, times = np.unique(alike.original, return_inverse=True, return_counts=True)
-    if len(place) <= ENUMERATED_VIEWS or len(kept) == len(place):
+    if len(kept) == len(place):
         return problem, np.arange(len(place))
     views = take(problem.views, kept)
     views = views._replace(weights=views.weights * np.sqrt(times)[:, None])

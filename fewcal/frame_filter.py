@@ -106,6 +106,11 @@ class FrameFilter:
         """
         self._remember(stamp_ns, as_grey(image))
 
+    def turn_away(self, reason: str) -> None:
+        """Count a frame that is not to be looked at."""
+        self.read += 1
+        self.rejected[reason] += 1
+
     def look(self, image: NDArray[Any], stamp_ns: int | None = None, source: str = "") -> Decision:
         """Look at one frame.
 

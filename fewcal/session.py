@@ -25,6 +25,9 @@ from .selection import best_subset, information
 from .verdict import Thresholds
 from .views import View
 
+SAME_VIEW_PX = 2.0
+"""Farthest that a point may be from where a view shows it, for the board to be where that view shows it."""
+
 
 class Session:
     """Takes frames one at a time and keeps the views that make the best camera.
@@ -182,8 +185,8 @@ class Session:
         return Decision(True, "kept", message, detection)
 
     def _looks_like(self, detection: Detection, view: View) -> bool:
-        """Whether the board is where a view shows it, as far as the motion allowed goes."""
-        return shift_px(detection.view, view) <= self.frames.criteria.max_motion_px
+        """Whether the board is where a view shows it."""
+        return shift_px(detection.view, view) <= SAME_VIEW_PX
 
     def _consider(self, detection: Detection, size: tuple[int, int]) -> Decision:
         """Judge a good view by the projection error that would be left with it and without it."""

@@ -26,6 +26,8 @@ from fewcal.errors import InvalidInput
 COMPRESSED = "/compressed"
 """What image_transport adds to the topic of images for compressed ones."""
 
+_SET_COMPRESSED = "and set image_transport:=compressed"
+
 
 class ImageSubscription:
     """Passes images on, each once and in order.
@@ -91,7 +93,7 @@ class ImageSubscription:
         """Why no image may have arrived, as a sentence that says what to do."""
         topic, wanted = self.topic_name, _type_name(self._kind)
         offered = self._offered(topic)
-        if self.lost:
+        if self.lost and wanted in offered:
             return (
                 f"{self.lost} images were lost on the way from {topic}: images of this size need a driver "
                 "that publishes reliably, or larger buffers of the middleware."
@@ -100,7 +102,8 @@ class ImageSubscription:
             return f"{topic} is published, but nothing arrives; check the driver, and the QoS overrides."
         base = re.sub(f"({COMPRESSED})+$", "", topic)
         if base != topic and _type_name(CompressedImage) in self._offered(base + COMPRESSED):
-            return f"{base}{COMPRESSED} is there; set image_transport:=compressed, and remap image to {base}."
+            how = "to which the transport is appended" if self._kind is CompressedImage else _SET_COMPRESSED
+            return f"{base}{COMPRESSED} is there; remap image to {base}, {how}."
         if offered:
             return (
                 f"{topic} carries {', '.join(sorted(offered))}, not {wanted}; remap image to another topic."

@@ -190,6 +190,10 @@ class LiveCalibration:
         try:
             return future.result(timeout_s)
         except FutureTimeout:
+            with self._lock:
+                claimed = self._request is not mine
+            if claimed:  # its image is being looked at, and the view will be kept or not
+                return future.result()
             arrived = self._mailbox.received - number
             raise Refused(
                 f"{arrived} images arrived within {timeout_s:g} s, but those before them are still being "
@@ -351,6 +355,7 @@ class LiveCalibration:
         """What the session says to a frame; a view that it keeps is kept."""
         before = self._session
         if other := self._other_camera(frame.frame_id, before):
+            before.frames.turn_away("other camera")
             return Decision(False, "other camera", other), before
         session = copy.copy(before)
         arguments = frame.image, frame.stamp_ns, frame.source

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
 import sys
 import time
 import traceback
@@ -180,6 +182,8 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         # What was forgotten, or followed by another camera that is not usable, is not given away any more.
         if result is not self._live.result or self._size_of(message) != (info.width, info.height):
             return
+        if header.frame_id and result.frame_id and header.frame_id != result.frame_id:
+            return  # of another camera on the same topic
         self._per_image.publish(self._with_header(info, header.stamp, header.frame_id))
 
     def _read(self, message: Any) -> Frame:
@@ -208,10 +212,13 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
             self._publish_annotated(look, look.frame)
 
     def _is_news(self, sentence: str) -> bool:
-        """Whether a sentence is one that was not told a moment ago; images of two kinds may take turns."""
-        now = time.monotonic()
+        """Whether a sentence is one that was not told a moment ago, whatever its numbers.
+
+        Images of two kinds may take turns, and no two that are damaged have the same length.
+        """
+        now, kind = time.monotonic(), re.sub(r"\d+", "0", sentence)
         self._told = {told: when for told, when in self._told.items() if now - when < REPEATED_S}
-        return bool(sentence) and self._told.setdefault(sentence, now) == now
+        return bool(sentence) and self._told.setdefault(kind, now) == now
 
     def _publish_annotated(self, look: Look, frame: Frame) -> None:
         status = self._live.status()
@@ -248,6 +255,16 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._camera_info.publish(info)
         self.get_logger().info(_summary(calibration))
         return True
+
+    def _release_or_withdraw(self) -> None:
+        """Give a camera that is not usable away from now on, or not any more."""
+        if self._settings.publish_unusable:
+            with contextlib.suppress(Refused):
+                result = self._live.current()
+                if not result.calibration.verdict.usable:
+                    self._release(result)
+        elif self._released is not None and not self._released[0].calibration.verdict.usable:
+            self._released = None
 
     def _message_of(self, result: Result) -> CameraInfo:
         parameters = self._settings
@@ -365,7 +382,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._diagnostics.publish(
             diagnostics_message(
                 self.get_clock().now().to_msg(),
-                f"{self.get_name()}: calibration",
+                f"{self.get_fully_qualified_name().lstrip('/')}: calibration",
                 self._settings.camera_name,
                 level,
                 sentence,
@@ -385,12 +402,8 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._settings = before.changed({change.name: change.value for change in changes})
         try:
             self._live.configure(self._settings)
-            result, allowed = (
-                self._live.result,
-                self._settings.publish_unusable and not before.publish_unusable,
-            )
-            if allowed and result is not None and not result.calibration.verdict.usable:
-                self._release(result)
+            if self._settings.publish_unusable != before.publish_unusable:
+                self._release_or_withdraw()
             self._publish_diagnostics()
         except Exception as error:  # it would end the node, and the views with it
             traceback.print_exc()

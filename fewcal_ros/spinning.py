@@ -6,6 +6,7 @@ import contextlib
 import sys
 import threading
 import time
+import traceback
 from typing import Protocol
 
 import rclpy
@@ -81,7 +82,10 @@ class _Executor(Executor):  # type: ignore[misc]  # rclpy is not installed where
     def spin_once(self, timeout_sec: float | None = None) -> None:
         for ended in [serving for serving in self._serving if not serving.is_alive()]:
             self._serving.remove(ended)
-            ended.callback.result()  # raises what the callback raised
+            try:
+                ended.callback.result()
+            except Exception:  # its caller gets no answer; that is no reason to lose the views
+                traceback.print_exc()
         try:
             callback, entity, _ = self.wait_for_ready_callbacks(timeout_sec)
         except (TimeoutException, ShutdownException, ExternalShutdownException):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
-from queue import Queue
+from queue import Empty, Queue
 from types import SimpleNamespace
 
 import pytest
@@ -210,6 +210,22 @@ class TestByServices:
         bench.live.remove_last()
         assert bench.live.calibrate().frame_id == ""
 
+    def test_a_capture_waits_for_its_image_to_be_looked_at(self, bench):
+        """Given up meanwhile, it would say that nothing was kept, and something would be."""
+        bench.gate.clear()
+        answers: Queue[object] = Queue()
+        threading.Thread(target=lambda: answers.put(bench.live.capture(1.0))).start()
+        while bench.live._request is None:
+            pass
+        bench.offer(pair()[0])
+        while bench.live._request is not None:
+            pass
+        with pytest.raises(Empty):
+            answers.get(timeout=1.5)
+        bench.gate.set()
+        assert answers.get(timeout=TIMEOUT_S).kept
+        assert len(bench.live.status().views) == 1
+
     def test_views_are_of_one_camera(self, bench):
         first, second = pair()
         bench.frame_id = "left"
@@ -217,6 +233,8 @@ class TestByServices:
         bench.frame_id = "right"
         refused = bench.capture(second).get(timeout=TIMEOUT_S)
         assert not refused.kept
+        assert bench.live.status().rejected["other camera"] == 1
+        assert bench.live.status().read == 2
         assert refused.message == (
             "The image is in frame 'right', the views are in 'left': stop what else publishes on the topic, "
             "or call ~/reset and start anew."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import signal
 import subprocess
@@ -259,8 +260,14 @@ class TestByItself:
         assert heard() == right
 
     def test_what_is_not_usable_is_not_given_away_unless_asked(self, cell):
-        cell.start_node(views_required=1, prior__focal_px=518.0, prior__focal_std_px=5, max_focal_std=1e-4)
-        infos = cell.client.camera_info()
+        cell.start_node(
+            views_required=1,
+            prior__focal_px=518.0,
+            prior__focal_std_px=5,
+            max_focal_std=1e-4,
+            publish_camera_info=True,
+        )
+        infos, per_image = cell.client.camera_info(), cell.client.listen(CameraInfo, "/camera_info")
         camera = cell.start_camera()
         camera.tell(hold=STILL[3])
         cell.client.wait_for(calibrated="yes", usable="no", level="WARN")
@@ -273,8 +280,25 @@ class TestByItself:
         wait_until(lambda: infos, "camera_info")
         assert not cell.client.call("calibrate").success
         assert cell.client.call("save").success
+        wait_until(lambda: per_image, "camera_info of an image")
+        assert cell.client.set(publish_unusable=False).successful
+        withdrawn = cell.client.node.get_clock().now().to_msg()
+        seen = int(cell.client.values()["images received"])
+        wait_until(lambda: int(cell.client.values()["images received"]) > seen + 40, "images")
+        assert not [info for info in per_image if info.header.stamp.sec > withdrawn.sec]
         assert cell.client.set(max_focal_std=0.5).successful
         cell.client.wait_for(usable="yes", level="OK")
+
+    def test_a_camera_whose_views_are_gone_is_not_given_away(self, cell):
+        cell.start_node(auto_capture=False)
+        infos = cell.client.camera_info()
+        cell.start_camera().tell(hold=STILL[0])
+        capture_when_still(cell)
+        assert not cell.client.call("calibrate").success
+        assert cell.client.call("remove_last").success
+        assert cell.client.set(publish_unusable=True).successful
+        assert "views have changed" in cell.client.call("save").message
+        assert not infos
 
 
 class TestByServices:
@@ -514,13 +538,43 @@ class TestState:
         cell.start_camera().tell(blank=[64, 48, "mono8", "a"])
         wait_until(lambda: logged("0 of 2 views, the focal length is not known yet."), "a missing board")
 
-    @pytest.mark.parametrize("transport", ["raw", "compressed"])
-    def test_a_compressed_topic_in_the_place_of_the_images_is_named(self, cell, transport):
+    @pytest.mark.parametrize(
+        ("transport", "how"),
+        [
+            ("raw", "and set image_transport:=compressed"),
+            ("compressed", "to which the transport is appended"),
+        ],
+    )
+    def test_a_compressed_topic_in_the_place_of_the_images_is_named(self, cell, transport, how):
         cell.client.node.create_publisher(CompressedImage, "/cam/image_raw/compressed", 1)
         cell.start_node("-r", "image:=/cam/image_raw/compressed", image_transport=transport)
         said = lambda: cell.client.values().get("message", "")  # noqa: E731
-        advice = "set image_transport:=compressed, and remap image to /cam/image_raw."
-        wait_until(lambda: advice in said(), "advice")
+        wait_until(lambda: f"remap image to /cam/image_raw, {how}." in said(), "advice")
+
+    def test_images_that_were_lost_once_do_not_explain_a_missing_driver(self, cell):
+        cell.start_node()
+        camera = cell.start_camera(reliable=False)
+        camera.tell(blank=[2560, 1920, "bgr8", "a"])
+        deadline = time.monotonic() + 20
+        while cell.client.values().get("images lost", "0") == "0":
+            if time.monotonic() > deadline:
+                pytest.skip("the middleware loses no image here")
+        camera.close()
+        said = lambda: cell.client.values()["message"]  # noqa: E731
+        wait_until(lambda: "Nobody publishes /image" in said(), "a missing driver")
+
+    def test_images_that_are_damaged_are_told_of_once(self, cell):
+        node = cell.start_node(image_transport="compressed", queue_size=100)
+        driver = cell.client.node.create_publisher(CompressedImage, "/image/compressed", 100)
+        _, jpeg = cv2.imencode(".jpg", np.zeros((480, 640), np.uint8))
+        lengths = itertools.cycle(range(400, 500))
+
+        def enough() -> bool:
+            driver.publish(CompressedImage(format="jpeg", data=jpeg[: next(lengths)].tobytes()))
+            return int(cell.client.values().get("images unreadable", "0")) > 20
+
+        wait_until(enough, "damaged images")
+        assert sum("[ERROR]" in line for line in node.err) == 1
 
     def test_a_driver_that_publishes_nothing_is_named(self, cell):
         cell.client.node.create_publisher(Image, "/image", 1)

@@ -94,6 +94,15 @@ def test_views_of_another_size_are_refused() -> None:
     assert session.image_size == (640, 460)
 
 
+def test_boards_apart_are_no_same_view_whatever_motion_is_allowed() -> None:
+    session = Session(BOARD, 2, criteria=Criteria(max_motion_px=10_000))
+    first, second = pair()
+    assert session.add(first).kept
+    assert session.capture(second).message == "View 2 is kept."
+    session.remove_last()
+    assert session.add(second).kept
+
+
 def test_capture_keeps_whatever_it_adds_but_no_bad_view() -> None:
     session, _ = session_of(flat())
     assert session.capture(shown(1.0, seed=1)).kept

@@ -29,7 +29,8 @@ class Node(rclpy.node.Node):
 
     def tick(self):
         self.ticks += 1
-        if self.ticks in (10, 20):
+        {tick}
+        if self.ticks in (10, 20, 30)[:{calls}]:
             self.asker.call_async(Trigger.Request()).add_done_callback(self.count)
         if self.ticks == 100:
             self.released.set()
@@ -70,9 +71,13 @@ sys.exit(code)
 """
 
 
-def spin(wait: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    program = folder / "program.py"
-    program.write_text(textwrap.dedent(PROGRAM).replace("{wait}", wait))
+def spin(
+    folder: Path, wait: str = "pass", tick: str = "pass", calls: int = 2
+) -> subprocess.CompletedProcess[str]:
+    program, text = folder / "program.py", textwrap.dedent(PROGRAM)
+    for name, code in (("wait", wait), ("tick", tick), ("calls", str(calls))):
+        text = text.replace(f"{{{name}}}", code)
+    program.write_text(text)
     with own_domain() as environment:
         return subprocess.run(
             [sys.executable, str(program)],
@@ -86,7 +91,7 @@ def spin(wait: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 def test_services_that_wait_keep_neither_the_others_nor_the_processor(tmp_path: Path) -> None:
     # Beside a thread that computes, a callback takes a while to begin; it is handed out once all the same.
-    done = spin("self.released.wait(60)", tmp_path)
+    done = spin(tmp_path, wait="self.released.wait(60)")
     assert done.returncode == 0, done.stderr
     spins, ticks, answered = map(int, done.stdout.split())
     assert answered == 2
@@ -94,8 +99,15 @@ def test_services_that_wait_keep_neither_the_others_nor_the_processor(tmp_path: 
     assert spins < 1.5 * ticks
 
 
-def test_what_a_callback_raises_ends_it_with_a_reason(tmp_path: Path) -> None:
-    done = spin("raise ValueError('out of order')", tmp_path)
+def test_what_a_service_raises_is_told_and_ends_nothing(tmp_path: Path) -> None:
+    done = spin(tmp_path, wait="if self.ticks < 20: raise ValueError('out of order')", calls=3)
+    assert done.returncode == 0
+    assert done.stdout.split()[2] == "2"
+    assert done.stderr.count("ValueError: out of order") == 1
+
+
+def test_what_another_callback_raises_ends_it_with_a_reason(tmp_path: Path) -> None:
+    done = spin(tmp_path, tick="if self.ticks == 5: raise ValueError('out of order')")
     assert done.returncode == 1
     assert done.stderr.strip().endswith("ValueError: out of order")
     assert "Traceback" not in done.stderr

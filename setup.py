@@ -15,6 +15,8 @@ setup(
     name=PACKAGE,
     version=VERSION,
     description="Camera calibration from one or two views of a board, with honest error bars, for ROS 2",
+    long_description=Path(__file__).with_name("README.md").read_text("utf-8"),
+    long_description_content_type="text/markdown",
     license="Apache-2.0",
     author="The fewcal maintainers",
     maintainer="The fewcal maintainers",

@@ -74,7 +74,7 @@ class AprilGrid:
         check_length("tag size", self.tag_size)
         if isinstance(self.gap, bool) or not (isinstance(self.gap, float | np.floating) and 0 < self.gap < 1):
             raise InvalidInput(f"The gap must be a share of the tag between 0 and 1, not {self.gap!r}.")
-        if self.family not in FAMILIES:
+        if not isinstance(self.family, str) or self.family not in FAMILIES:
             raise InvalidInput(f"There is no family {self.family!r}; there are {', '.join(FAMILIES)}.")
         count = DICTIONARIES[self.dictionary][1]
         if self.columns * self.rows > count:

@@ -115,6 +115,16 @@ class CameraInfo:
         ):
             object.__setattr__(self, name, value)
 
+    def __reduce__(self) -> tuple[type[CameraInfo], tuple[object, ...]]:
+        # Through the constructor: numpy forgets that an array was read-only.
+        return CameraInfo, (
+            self.camera,
+            self.image_size,
+            self.camera_name,
+            self.rectification,
+            self.projection,
+        )
+
 
 def write_camera_info(
     path: str | os.PathLike[str], calibration: HasCamera, camera_name: str = "camera"

@@ -113,7 +113,7 @@ class Charuco:
     @property
     def marker_count(self) -> int:
         """How many markers there are: one for each white square."""
-        return (self.columns * self.rows + self.first_is_white) // 2
+        return self.columns * self.rows // 2
 
     @property
     def marker_corners(self) -> Array:

@@ -32,7 +32,7 @@ def real_array(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 def is_number(value: object) -> bool:
     """Whether a value is one real number that is finite and not absurdly large; arrays are not."""
-    return isinstance(value, Real) and abs(float(value)) <= LARGEST
+    return isinstance(value, Real) and bool(value <= LARGEST and not value < -LARGEST)
 
 
 def is_covariance(matrix: object) -> bool:
@@ -66,9 +66,10 @@ def require_pair(name: str, pair: object, positive: bool = False) -> None:
     ------
     InvalidInput
     """
-    if not isinstance(pair, (Sequence, np.ndarray)) or len(pair) != 2:
+    several = isinstance(pair, Sequence) or (isinstance(pair, np.ndarray) and pair.ndim > 0)
+    if not several or len(pair) != 2:  # type: ignore[arg-type]
         raise InvalidInput(f"{name} must be two numbers, not {pair!r}.")
-    numbers = list(pair)
+    numbers = list(pair)  # type: ignore[call-overload]
     require_numbers(name, () if positive else numbers, numbers if positive else ())
 
 

@@ -50,7 +50,8 @@ def simplified_intrinsics(H: Array, principal_point: Array, held: bool = False) 
     rows = np.concatenate([_v(H, 0, 1), _v(H, 0, 0) - _v(H, 1, 1)], axis=-2)
     if held:
         by_square, rest = rows[..., 0], rows[..., 3]
-        squared = -(by_square * rest).sum(axis=-1) / (by_square * by_square).sum(axis=-1) * size**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            squared = -(by_square * rest).sum(axis=-1) / (by_square * by_square).sum(axis=-1) * size**2
         return np.concatenate([squared[..., None], np.broadcast_to(centre, (*squared.shape, 2))], axis=-1)
     _, _, vt = np.linalg.svd(rows, full_matrices=False)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -122,12 +122,12 @@ class Drawing:
         inner = table[1:-1, 1:-1].astype(np.float64)  # what lies outside of all polygons is white
         share = _overlap(y, y_edges) @ inner @ _overlap(x, x_edges).T
         pixel = (x[-1] - x[0]) / (len(x) - 1)
+        mid_x, mid_y = (edges[:-1] + np.diff(edges) / 2 for edges in (x, y))
         for centre_x, centre_y, radius in self.discs:
             columns, rows = (
                 slice(*np.searchsorted(edges, (centre - radius - pixel, centre + radius + pixel)))
                 for edges, centre in ((x, centre_x), (y, centre_y))
             )
-            mid_x, mid_y = (edges[:-1] + np.diff(edges) / 2 for edges in (x, y))
             distance = np.hypot(mid_x[columns] - centre_x, mid_y[rows, None] - centre_y)
             share[rows, columns] += np.clip(0.5 + (radius - distance) / pixel, 0, 1)
         return share

@@ -83,7 +83,7 @@ def _write_new(path: Path, data: bytes, mode: int | None) -> None:
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _NEW_FILE_MODE)
     with os.fdopen(descriptor, "wb") as stream:
         if mode is not None:
-            os.fchmod(descriptor, mode)
+            path.chmod(mode)
         stream.write(data)
         stream.flush()
         os.fsync(descriptor)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import astuple, dataclass
 from numbers import Real
@@ -45,7 +46,9 @@ class Criteria:
 
     def __post_init__(self) -> None:
         # Infinity is a limit that nothing exceeds.
-        if not all(isinstance(value, Real) and float(value) >= 0 for value in astuple(self)):
+        if not all(
+            isinstance(value, Real) and value <= math.inf and not value < 0 for value in astuple(self)
+        ):
             raise InvalidInput(f"Criteria are numbers that are not negative, unlike {self!r}.")
 
 

@@ -175,5 +175,4 @@ def _normalise(points: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def _denormalise(H: Array, from_source: Array, from_target: Array) -> Array:
-    H = from_target @ H @ np.linalg.inv(from_source)
-    return H
+    return np.asarray(from_target @ H @ np.linalg.inv(from_source), dtype=np.float64)

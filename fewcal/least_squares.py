@@ -194,7 +194,7 @@ def minimise(
     Returns
     -------
     Minimum
-        An item whose start is not allowed (infinite cost) stops at once, as stalled, with infinite cost.
+        An item whose start is not allowed (cost NaN) stops at once, as stalled, with infinite objective.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         if equations is None:

@@ -49,7 +49,7 @@ def find_dictionary(name: str) -> str:
 
 def check_dictionary(name: str, markers: int) -> None:
     """Refuse a dictionary that OpenCV does not have, or one with fewer markers than a board needs."""
-    if name not in DICTIONARIES:
+    if not isinstance(name, str) or name not in DICTIONARIES:
         raise InvalidInput(f"There is no dictionary {name!r}; there are {', '.join(DICTIONARIES)}.")
     if markers > DICTIONARIES[name][1]:
         raise InvalidInput(
@@ -211,6 +211,6 @@ def _dictionary(name: str) -> Any:
     if code is None:
         raise InvalidInput(
             f"OpenCV {cv2.__version__} as it is installed has no markers of {name}; install "
-            "opencv-python-headless 4.7 or later, or the package with contrib in its name."
+            "a later opencv-python-headless, or the package with contrib in its name."
         )
     return _ARUCO.getPredefinedDictionary(code)

@@ -91,9 +91,7 @@ class Noise(NamedTuple):
 
     def variance(self, squares: Array) -> Array:
         """Variance (B,) of an image point of weight 1, px^2, for sums of squared residuals (B,)."""
-        scatter = self.scatter(squares)
-        variance: Array = (CORRELATION * scatter) ** 2 + np.minimum(MODEL_ERROR_PX, ABSORBED * scatter) ** 2
-        return variance
+        return _total_variance(self.scatter(squares))
 
     def objective(self, squares: Array, prior_squares: Array) -> Array:
         """Negative log posterior of a camera at the scatter that suits it best, up to a constant.
@@ -115,8 +113,12 @@ class Noise(NamedTuple):
 
 def total_sigma(scatter: Array) -> Array:
     """Standard deviation of an image point that counts, for the scatter of the residuals, pixels."""
-    total: Array = np.hypot(CORRELATION * scatter, np.minimum(MODEL_ERROR_PX, ABSORBED * scatter))
-    return total
+    return np.sqrt(_total_variance(scatter))
+
+
+def _total_variance(scatter: Array) -> Array:
+    variance: Array = (CORRELATION * scatter) ** 2 + np.minimum(MODEL_ERROR_PX, ABSORBED * scatter) ** 2
+    return variance
 
 
 def _scatter_behind(sigma: float) -> float:

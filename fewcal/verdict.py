@@ -73,7 +73,7 @@ class Thresholds:
 
     def __post_init__(self) -> None:
         # Infinity is a threshold that nothing reaches.
-        if not all(isinstance(value, Real) and not math.isnan(value) for value in astuple(self)):
+        if not all(isinstance(value, Real) and value <= math.inf for value in astuple(self)):
             raise InvalidInput(f"Thresholds are numbers, not {self!r}.")
 
 

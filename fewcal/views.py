@@ -147,7 +147,8 @@ class ViewStack(NamedTuple):
         Rotation whose first two columns span the board's plane: ``plane[:, :2] @ points`` is the board.
     pixels : (V, 2, N)
     weights : (V, N)
-        Relative weights 1 / sigma with a mean square of 1 over all points.
+        Relative: 1 over sigma and UNEXPLAINED_PX together, with a mean square of 1 over all points; of points
+        that a view has several times each has its share of one.
     """
 
     points: NDArray[np.float64]

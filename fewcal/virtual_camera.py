@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from .adjustment import rotation_from_vector
 from .boards import Chessboard
 from .distortion import distort, fold_radius, undistort
-from .errors import InvalidInput
+from .errors import InvalidInput, ModelFoldsOver
 from .rendering import Projector
 from .views import View
 
@@ -108,12 +108,12 @@ class VirtualCamera:
         undistorted = np.stack([self.fx * x + self.s * y, self.fy * y], axis=-1)
         return distort(undistorted, self._coefficients) + self.intrinsics[2:4]
 
-    def unproject(self, pixels: ArrayLike, *, folded: str = "nan") -> Array:
-        """Directions (..., 3) of pixels (..., 2), unit vectors; NaN beyond the fold of the distortion."""
+    def unproject(self, pixels: ArrayLike, *, folded: str = "raise") -> Array:
+        """Directions (..., 3) of pixels (..., 2), unit vectors; see :meth:`fewcal.Camera.unproject`."""
         uv = np.asarray(pixels, dtype=np.float64)
         flat = undistort(uv.reshape(-1, 2) - [self.u0, self.v0], self._coefficients)
         if folded == "raise" and np.isnan(flat).any():
-            raise InvalidInput("A pixel lies where the distortion model has folded over and gives no ray.")
+            raise ModelFoldsOver("A pixel lies where the distortion model has folded over and gives no ray.")
         y = flat[:, 1] / self.fy
         rays = np.stack([(flat[:, 0] - self.s * y) / self.fx, y, np.ones_like(y)], axis=-1)
         unit: Array = rays / np.linalg.norm(rays, axis=1, keepdims=True)

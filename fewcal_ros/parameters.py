@@ -79,7 +79,7 @@ def _parameter(name: str, default: Value, description: str, **more: Any) -> Any:
 
 @dataclass(frozen=True)
 class Parameters:
-    """The parameters, checked; README and `ros2 param describe fewcal` say what each is for.
+    """The parameters, checked; doc/node.md and `ros2 param describe fewcal` say what each is for.
 
     Raises
     ------

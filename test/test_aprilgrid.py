@@ -66,6 +66,11 @@ def test_what_is_no_board_is_said_in_a_sentence(text: str, sentence: str) -> Non
         parse_board(text)
 
 
+def test_a_family_that_is_no_text_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="There is no family"):
+        AprilGrid(6, 6, 0.088, 0.3, ["tag36h11"])  # type: ignore[arg-type]
+
+
 def test_points_are_in_the_order_of_kalibr() -> None:
     """As in the drawing of Kalibr's GridCalibrationTargetAprilgrid, with y down instead of up."""
     points = AprilGrid(2, 2, 1.0, 0.5, "tag36h11").points

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import string
 from dataclasses import dataclass
 from pathlib import Path
@@ -438,3 +439,13 @@ def test_what_is_no_calibration_is_not_written(tmp_path: Path) -> None:
         with pytest.raises(InvalidInput, match=r"calibration must be a fewcal\.Calibration"):
             write_camera_info(tmp_path / "camera.yaml", wrong)  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
+
+
+def test_what_was_pickled_cannot_be_changed_either() -> None:
+    P = np.array([[500.0, 0, 320, -60], [0, 500, 240, 0], [0, 0, 1, 0]])
+    info = CameraInfo(Camera(500.0, 501.0, 320.0, 240.0), (640, 480), "left", projection=P)
+    again = pickle.loads(pickle.dumps(info))
+    np.testing.assert_array_equal(again.projection, P)
+    assert (again.image_size, again.camera_name) == ((640, 480), "left")
+    assert not again.projection.flags.writeable
+    assert not again.rectification.flags.writeable

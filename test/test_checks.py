@@ -23,7 +23,9 @@ def test_numbers(value: object) -> None:
     assert is_number(value)
 
 
-@pytest.mark.parametrize("value", [None, "1", np.nan, np.inf, 1j, [1.0], np.array(1.0), 2 * LARGEST])
+@pytest.mark.parametrize(
+    "value", [None, "1", np.nan, np.inf, 1j, [1.0], np.array(1.0), 2 * LARGEST, 10**400, -(10**400)]
+)
 def test_what_is_no_number(value: object) -> None:
     assert not is_number(value)
     with pytest.raises(InvalidInput, match="A prior needs finite numbers"):

@@ -82,6 +82,8 @@ def test_a_fronto_parallel_view_has_no_focal_length() -> None:
     assert not np.isfinite(f2) or f2 == 0
     with pytest.raises(ImaginaryFocalLength):
         checked_focal_length(f2)
+    with np.errstate(all="raise"):
+        assert not simplified_intrinsics(np.stack([np.eye(3)] * 2), CENTRE, held=True)[0] > 0
 
 
 # --- Zhang's closed form -----------------------------------------------------------------------------------

@@ -59,6 +59,8 @@ def test_priors_can_be_replaced_one_by_one() -> None:
         lambda: Priors(focal_px=(1200.0,)),  # type: ignore[arg-type]
         lambda: Priors(corner_sigma_px=(0.2, math.inf)),
         lambda: Priors(focal_px=1200.0),  # type: ignore[arg-type]
+        lambda: Priors(focal_px=np.array(1200.0)),  # type: ignore[arg-type]
+        lambda: Priors(focal_px=(10**400, 1)),
         lambda: Priors(focal_px=("1200", "12")),  # type: ignore[arg-type]
         lambda: Priors(log_aspect=0.01),  # type: ignore[arg-type]
         lambda: Priors(board_bend=None),  # type: ignore[arg-type]

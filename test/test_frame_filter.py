@@ -162,6 +162,12 @@ def test_numbers_that_are_no_criteria(value: Any) -> None:
             Criteria(**{name: value})
 
 
+@pytest.mark.parametrize("value", [0, 0.5, float("inf"), 10**400])
+def test_numbers_that_are_criteria(value: Any) -> None:
+    # What no double holds is as good as infinite.
+    Criteria(max_motion_px=value)
+
+
 def test_a_motion_is_told_by_four_points_or_more() -> None:
     seen = View(BOARD.points, CAMERA.project(BOARD.points, pose(BOARD, 34.0)))
     for count, expected in ((3, np.inf), (4, 5.0)):

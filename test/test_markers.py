@@ -47,12 +47,14 @@ def test_dictionaries_are_found_however_they_are_written() -> None:
         check_dictionary("DICT_4X4_50", 51)
     with pytest.raises(InvalidInput, match="no dictionary 'DICT_9X9'; there are DICT_4X4_50"):
         check_dictionary("DICT_9X9", 1)
+    with pytest.raises(InvalidInput, match="no dictionary"):
+        check_dictionary(["DICT_4X4_50"], 1)  # type: ignore[arg-type]
 
 
 def test_an_opencv_without_markers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     markers._dictionary.cache_clear()
     monkeypatch.setattr(markers, "_ARUCO", None)
-    with pytest.raises(InvalidInput, match=r"has no markers of DICT_5X5_100; install opencv.*\."):
+    with pytest.raises(InvalidInput, match=r"has no markers of DICT_5X5_100; install a later opencv.*\."):
         marker_bits("DICT_5X5_100", np.arange(3))
 
 

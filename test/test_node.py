@@ -576,6 +576,10 @@ class TestState:
         wait_until(enough, "damaged images")
         assert sum("[ERROR]" in line for line in node.err) == 1
 
+    def test_nodes_of_two_cameras_have_a_name_each(self, cell):
+        cell.start_node("-r", "__ns:=/left")
+        cell.client.wait_for(name="left/fewcal: calibration")
+
     def test_a_driver_that_publishes_nothing_is_named(self, cell):
         cell.client.node.create_publisher(Image, "/image", 1)
         cell.start_node()

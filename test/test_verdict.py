@@ -236,7 +236,7 @@ def test_views_are_the_same_when_copies_leave_but_one(copies: tuple[float, ...],
     assert [reason.split(":")[0] for reason in reasons] == ["The same view again"] * same
 
 
-@pytest.mark.parametrize("wrong", ["2 %", None, float("nan")])
+@pytest.mark.parametrize("wrong", ["2 %", None, float("nan"), 1j])
 def test_thresholds_are_numbers(wrong: object) -> None:
     with pytest.raises(InvalidInput, match="Thresholds are numbers"):
         Thresholds(focal_std=wrong)  # type: ignore[arg-type]

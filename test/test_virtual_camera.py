@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fewcal.boards import Chessboard
 from fewcal.camera import Camera, project_pixel_model_jacobians
-from fewcal.errors import InvalidInput
+from fewcal.errors import InvalidInput, ModelFoldsOver
 from fewcal.virtual_camera import (
     FIGURE_12_CAMERA,
     FIGURE_12_REACH,
@@ -57,10 +57,11 @@ class TestVirtualCamera:
 
     def test_says_where_it_folds_over(self):
         radius = FIGURE_12_CAMERA.fold_radius_px
-        rays = FIGURE_12_CAMERA.unproject([[1000 + radius - 1, 1000], [1000 + radius + 1, 1000]])
+        pixels = [[1000 + radius - 1, 1000], [1000 + radius + 1, 1000]]
+        rays = FIGURE_12_CAMERA.unproject(pixels, folded="nan")
         assert np.isnan(rays).any(axis=1).tolist() == [False, True]
-        with pytest.raises(InvalidInput, match="folded over"):
-            FIGURE_12_CAMERA.unproject([1000 + radius + 1, 1000], folded="raise")
+        with pytest.raises(ModelFoldsOver, match="folded over"):
+            FIGURE_12_CAMERA.unproject(pixels)
 
     def test_refuses_what_is_no_camera(self):
         with pytest.raises(InvalidInput, match="four of k1"):

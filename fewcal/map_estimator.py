@@ -97,27 +97,27 @@ def estimate_map(
     image_size : (width, height), pixels
     priors : Priors
     alike : Copies, optional
-        Of these views, see :func:`fewcal.copies.copies`; none are alike when left out.
+        Of these views, see :func:`fewcal.copies.copies`; each counts in full when left out.
 
     Raises
     ------
     DegenerateViews
         When no start leads to a camera with the board in front of it.
     """
-    alike = alike or Copies(np.ones(len(views.points)), np.arange(len(views.points)))
-    shared = share_weight(views, alike.times)
-    found = _estimate(shared, ScaleFree(image_size), priors, alike)
+    shared = views if alike is None else share_weight(views, alike.times)
+    original = np.arange(len(views.points)) if alike is None else alike.original
+    found = _estimate(shared, ScaleFree(image_size), priors, original)
     if found.lowest_scatter < COMPUTED_PX:
         # Points this exact were computed: they have no errors to repeat, however alike the views are, and if
         # board and lens can be perfect they are. Perhaps the camera is the paper's, whose distortion acts on
         # pixels.
         exact = replace(priors, board_bend=NONE, lens_remainder=NONE, print_stretch=NONE)
         models = [ScaleFree(image_size, in_pixels) for in_pixels in (False, True)]
-        perfect = [_estimate(views, model, exact, alike, found.estimate.geometry) for model in models]
+        perfect = [_estimate(views, model, exact, original, found.estimate.geometry) for model in models]
         best = min(perfect, key=lambda each: each.objective)
         if best.lowest_scatter < COMPUTED_PX:
             return best.estimate
-        found = _estimate(views, ScaleFree(image_size), priors, alike)
+        found = _estimate(views, ScaleFree(image_size), priors, original)
     return found.estimate
 
 
@@ -130,14 +130,18 @@ class _Found(NamedTuple):
 
 
 def _estimate(
-    views: ViewStack, model: ScaleFree, priors: Priors, alike: Copies, start: Geometry | None = None
+    views: ViewStack,
+    model: ScaleFree,
+    priors: Priors,
+    original: NDArray[np.intp],
+    start: Geometry | None = None,
 ) -> _Found:
     """Find the best minimum for one camera model, or the one that a start leads to."""
     problem = _problem(views, model, priors)
     noise, starts = problem.noise, None
     assert noise is not None
     if start is None:
-        few, place = _few(problem, alike, priors)
+        few, place = _few(problem, original, priors)
         starts = _starts(few.views, model, priors)
         start = _repeated(_contenders(few, starts, place), place)
     found = _descend(problem, start)
@@ -158,7 +162,9 @@ def _problem(views: ViewStack, model: ScaleFree, priors: Priors) -> Adjustment:
     return Adjustment(views, model, priors.rows(model.image_size), Noise.of(views, priors), departures)
 
 
-def _few(problem: Adjustment, alike: Copies, priors: Priors) -> tuple[Adjustment, NDArray[np.intp]]:
+def _few(
+    problem: Adjustment, original: NDArray[np.intp], priors: Priors
+) -> tuple[Adjustment, NDArray[np.intp]]:
     """Leave copies out, which tell of the boards' poses what their originals do, and would take many starts.
 
     Returns
@@ -167,7 +173,7 @@ def _few(problem: Adjustment, alike: Copies, priors: Priors) -> tuple[Adjustment
         Of the views left, each with the weight of its copies.
     place : (V,) which of them each view repeats
     """
-    kept, place, times = np.unique(alike.original, return_inverse=True, return_counts=True)
+    kept, place, times = np.unique(original, return_inverse=True, return_counts=True)
     if len(kept) == len(place):
         return problem, np.arange(len(place))
     views = take(problem.views, kept)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .adjustment import POSE
+from .copies import DISTINCT
 from .noise import COMPUTED_PX, total_sigma
 
 Array = NDArray[np.float64]
@@ -43,7 +44,9 @@ class Disagreement(NamedTuple):
     worst: int
 
 
-def disagreement(reduced: Array, own: int, sigma: float, counts: NDArray[np.intp]) -> Disagreement | None:
+def disagreement(
+    reduced: Array, own: int, sigma: float, counts: NDArray[np.intp], times: Array
+) -> Disagreement | None:
     """Compare what each view says of the camera with what all say together.
 
     Parameters
@@ -56,6 +59,8 @@ def disagreement(reduced: Array, own: int, sigma: float, counts: NDArray[np.intp
         Unit of the rows, pixels.
     counts : (V,)
         Points of each view.
+    times : (V,)
+        Views that show the board where each does, which share the weight of one.
 
     Returns
     -------
@@ -64,11 +69,12 @@ def disagreement(reduced: Array, own: int, sigma: float, counts: NDArray[np.intp
     """
     spare = 2 * counts - POSE - own
     telling = np.flatnonzero(spare >= SPARE)
-    if len(telling) < 2:
+    distinct = float((1 / times[telling]).sum())
+    if distinct < DISTINCT:
         return None
     squares = (sigma * reduced[telling, :, -1]) ** 2
     lost, left = squares[:, :own].sum(axis=1), squares[:, own:].sum()
-    alone = max(float(np.sqrt(left / spare[telling].sum())), COMPUTED_PX)
-    together = float(np.sqrt(lost.sum() / (own * (len(telling) - 1))))
+    alone = max(float(np.sqrt(left / (spare / times)[telling].sum())), COMPUTED_PX)
+    together = float(np.sqrt(lost.sum() / (own * (distinct - 1))))
     ratio = together / float(total_sigma(np.array(alone)))
-    return Disagreement(ratio, alone, together, int(telling[lost.argmax()]))
+    return Disagreement(ratio, alone, together, int(telling[(lost * times[telling]).argmax()]))

@@ -195,9 +195,10 @@ def calibrate(
     try:
         if method == "map":
             found = estimate_map(stack, size, priors, alike)
-            solution = map_solution(found)
+            solution = map_solution(found, alike)
             if max(solution.prior_conflicts.values()) > thresholds.conflict:
-                solution = with_stated_focal(solution, stack, size, priors, alike)
+                tilted = bool(tilt_deg(found.geometry.rotation[0]).max() > thresholds.tilt_deg)
+                solution = with_stated_focal(solution, stack, size, priors, alike, tilted)
         else:
             found = estimate_zhu2020(stack, size) if method == "zhu2020" else estimate_zhang(stack)
             solution = pixel_solution(found, size, priors, alike)

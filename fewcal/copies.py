@@ -25,6 +25,9 @@ SHARED = 0.05
 the board was printed, and what the lens does beyond the model. With it the error bars of 30 and 100 views
 hold as those of two do (doc/estimator.md)."""
 
+DISTINCT = 1.5
+"""Number of different views, copies counted once, below which there is but one."""
+
 
 class Copies(NamedTuple):
     """Which of V views show the board in the same place.

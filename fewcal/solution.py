@@ -62,8 +62,11 @@ class Solution:
     disagreement: Disagreement | None
 
 
-def map_solution(found: Estimate) -> Solution:
-    """See what :func:`fewcal.map_estimator.estimate_map` found, whichever of its two models it chose."""
+def map_solution(found: Estimate, alike: Copies) -> Solution:
+    """See what :func:`fewcal.map_estimator.estimate_map` found, whichever of its two models it chose.
+
+    `alike` are the copies among the views, see :func:`fewcal.copies.copies`.
+    """
     model, known = found.adjustment.model, found.adjustment.constraint
     assert isinstance(model, ScaleFree)
     assert isinstance(known, PriorRows)
@@ -92,24 +95,33 @@ def map_solution(found: Estimate) -> Solution:
         covariance=model.natural_spread(theta, result.covariance[:8, :8]),
         settled={name: 1 - share for name, share in left.items()},
         prior_conflicts=_worst_by_name(conflicts),
-        disagreement=disagreement(result.reduced, model.size, found.sigma, found.adjustment.views.counts),
+        disagreement=disagreement(
+            result.reduced, model.size, found.sigma, found.adjustment.views.counts, alike.times
+        ),
     )
 
 
 def with_stated_focal(
-    solution: Solution, stack: ViewStack, size: tuple[int, int], priors: Priors, alike: Copies
+    solution: Solution,
+    stack: ViewStack,
+    size: tuple[int, int],
+    priors: Priors,
+    alike: Copies,
+    tilted: bool = True,
 ) -> Solution:
     """Hold a focal length that was stated, if any, against what the views say without it, both with their sd.
 
-    What is stated surely can make everything else give way, at a camera where the views seem to agree.
+    What is stated surely can make everything else give way, at a camera where the views seem to agree. What
+    they say near that camera counts as well, but for boards that are not `tilted`: their share in it is not
+    linear.
     """
     if priors.focal_px is None:
         return solution
-    free = map_solution(estimate_map(stack, size, replace(priors, focal_px=None), alike))
+    free = map_solution(estimate_map(stack, size, replace(priors, focal_px=None), alike), alike)
     mean, sd = priors.focal_px
     off = abs(math.log(free.camera.fx / mean)) / math.hypot(sd / mean, focal_std(free, size))
-    conflicts = solution.prior_conflicts
-    return replace(solution, prior_conflicts={**conflicts, FOCAL: max(off, conflicts[FOCAL])})
+    near = solution.prior_conflicts[FOCAL] if tilted else 0.0
+    return replace(solution, prior_conflicts={**solution.prior_conflicts, FOCAL: max(off, near)})
 
 
 def pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alike: Copies) -> Solution:
@@ -135,7 +147,7 @@ def pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alike
     even = replace(found.adjustment, views=views._replace(weights=np.sign(views.weights)))
     beyond = squared_errors(found, camera).sum() - even.linearise(found.geometry).squares[0]
     unheld = math.sqrt(max(float(beyond), 0.0) / views.counts.sum())
-    reduced = eliminate(found.adjustment.rows(found.geometry, found.sigma)).camera
+    reduced = eliminate(rows).camera
     return Solution(
         camera=camera,
         pixel_distortion=coefficients,
@@ -146,7 +158,7 @@ def pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alike
         covariance=covariance,
         settled=None,
         prior_conflicts={},
-        disagreement=disagreement(reduced, theta.size, found.sigma, views.counts),
+        disagreement=disagreement(reduced, theta.size, found.sigma, views.counts, alike.times),
     )
 
 

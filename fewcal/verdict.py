@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from .agreement import Disagreement
 from .camera import Camera
 from .constraints import FOCAL
+from .copies import DISTINCT
 from .distortion import distort_jacobians, is_upright, surely_invertible
 from .errors import InvalidInput
 from .views import UNEXPLAINED_PX
@@ -24,8 +25,6 @@ from .views import UNEXPLAINED_PX
 Array = NDArray[np.float64]
 
 
-DISTINCT = 1.5
-"""Number of different views, copies counted once, below which there is but one."""
 ODD = 3.0
 """How many times as far a view misses as all others, from which on it is named."""
 OUTSIDE_PX = 1.0
@@ -166,7 +165,7 @@ def degeneracies(
     if np.all(tilts < thresholds.tilt_deg):
         yield (
             f"Fronto-parallel: the board is within {_up(tilts.max())} deg of parallel to the image, which "
-            "says nothing of the focal length; tilt it by 30 deg or more."
+            "says next to nothing of the focal length; tilt it by 30 deg or more."
         )
     elif len(rotations) > 1 and (1 / copies).sum() < DISTINCT:
         yield (
@@ -226,9 +225,9 @@ def folds_inside(camera: Camera, image_size: tuple[int, int]) -> bool:
 def _misfits(evidence: Evidence, thresholds: Thresholds) -> Iterator[str]:
     if evidence.sigma_px > thresholds.sigma_px:
         yield (
-            f"The points miss the camera by {_beyond(evidence.sigma_px)} px (one sigma), more than any board "
-            f"or lens explains; {_odd_view(evidence.view_rms)}check that points and board belong together, "
-            "the board is flat, the lens no fisheye and every prior true."
+            f"The points miss the camera by so much that one sigma is {_beyond(evidence.sigma_px)} px, more "
+            f"than any board or lens explains; {_odd_view(evidence.view_rms)}check that points and board "
+            "belong together, the board is flat, the lens no fisheye and every prior true."
         )
     if evidence.unheld_px > max(evidence.sigma_px, UNEXPLAINED_PX):
         yield (

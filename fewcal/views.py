@@ -27,6 +27,12 @@ MIN_COMMON = 4
 """Points that two views must both show to tell whether the board has moved: as many as fix its pose."""
 
 
+_FACING = np.sqrt([1.0, 2.0, 5.0])
+"""The side to which normals point: no plane that anybody writes down has it in it."""
+_UPRIGHT = 0.9
+"""Share of x in the normal from which on x lies too steeply to the plane to be an axis of it."""
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """Points of one board and where one image shows them.
@@ -36,7 +42,8 @@ class View:
     object_points : array_like, (N, 3) or (N, 2)
         Points in the board frame, metres. They must lie in one plane; z = 0 is assumed when it is left out.
         A board may be bent along x and along y and its print stretched, so that these run best along its
-        sides; in a plane other than z = const the principal axes of the points are taken for them.
+        sides. In a plane other than z = const they are x, or y where x is the normal, as it lies in the
+        plane, and the direction at right angles to it.
     image_points : array_like, (N, 2)
         The same points in the image, pixels, the centre of the first pixel at (0, 0).
     sigma : array_like, scalar or (N,), optional
@@ -189,9 +196,8 @@ def stack_views(views: Sequence[View]) -> ViewStack:
             continue
         centroid[i] = view.object_points.mean(axis=0)
         centred = view.object_points - centroid[i]
-        if np.any(centred[:, 2]):
-            axes = np.linalg.svd(centred, full_matrices=True)[2]
-            plane[i] = (axes * [[1], [1], [np.linalg.det(axes)]]).T
+        if np.ptp(view.object_points[:, 2]) > 0:
+            plane[i] = _plane_axes(centred)
         points[i, :, :count] = (centred @ plane[i, :, :2]).T
         pixels[i, :, :count] = view.image_points.T
         # Padding lies at the centroid, in front of every camera.
@@ -204,6 +210,19 @@ def stack_views(views: Sequence[View]) -> ViewStack:
     for i, view in enumerate(views):
         weights[i, : len(view)] /= np.sqrt(_times(view.object_points))
     return ViewStack(points, centroid, plane, pixels, weights)
+
+
+def _plane_axes(centred: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3, 3) axes of the plane of points (N, 3) about their centroid, and its normal, as columns.
+
+    They are the same whichever part of a board the points are, as what is bent along them has to be.
+    """
+    normal = np.linalg.svd(centred, full_matrices=True)[2][2]
+    normal = normal * np.where(normal @ _FACING < 0, -1, 1)
+    along = np.eye(3)[int(abs(normal[0]) > _UPRIGHT)]
+    first = along - (along @ normal) * normal
+    first = first / np.linalg.norm(first)
+    return np.column_stack([first, np.cross(normal, first), normal])
 
 
 def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:

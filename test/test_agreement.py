@@ -47,7 +47,7 @@ def test_what_is_lost_is_compared_with_the_scatter_of_each_view_alone() -> None:
     reduced[:, :8, -1] = rng.normal(0, 3.0, (200, 8))
     reduced[:, 8, -1] = np.sqrt(rng.chisquare(spare, 200))
     reduced[7, 2, -1] = 40.0
-    found = disagreement(reduced, 8, 0.2, counts)
+    found = disagreement(reduced, 8, 0.2, counts, np.ones(200))
     assert found is not None
     assert found.alone_px == pytest.approx(0.2, rel=0.02)
     assert found.together_px == pytest.approx(0.2 * np.sqrt(9 + 40**2 / 1600), rel=0.05)
@@ -57,8 +57,8 @@ def test_what_is_lost_is_compared_with_the_scatter_of_each_view_alone() -> None:
 
 def test_views_of_few_points_do_not_tell() -> None:
     reduced = np.ones((3, 9, 9))
-    assert disagreement(reduced, 8, 1.0, np.array([54, 9, 9])) is None
-    several = disagreement(reduced, 8, 1.0, np.array([54, 9, 54]))
+    assert disagreement(reduced, 8, 1.0, np.array([54, 9, 9]), np.ones(3)) is None
+    several = disagreement(reduced, 8, 1.0, np.array([54, 9, 54]), np.ones(3))
     assert several is not None
     assert several.worst != 1
 
@@ -66,13 +66,36 @@ def test_views_of_few_points_do_not_tell() -> None:
 def test_two_views_lose_what_one_camera_holds() -> None:
     reduced = np.zeros((3, 9, 9))
     reduced[:, :8, -1], reduced[:, 8, -1] = 3.0, 50.0
-    found = disagreement(reduced[:2], 8, 0.5, np.array([54, 54]))
+    found = disagreement(reduced[:2], 8, 0.5, np.array([54, 54]), np.ones(2))
     assert found is not None
     assert found.together_px == pytest.approx(0.5 * 3 * np.sqrt(2))
     assert found.alone_px == pytest.approx(0.5 * 50 / np.sqrt(2 * 54 - 14))
-    assert disagreement(reduced, 8, 0.5, np.array([54, 54, 9])) == found
-    assert disagreement(reduced, 8, 0.5, np.array([10, 10, 9])) is not None
+    assert disagreement(reduced, 8, 0.5, np.array([54, 54, 9]), np.ones(3)) == found
+    assert disagreement(reduced, 8, 0.5, np.array([10, 10, 9]), np.ones(3)) is not None
     reduced[:, 8] = 0
-    computed = disagreement(reduced, 8, 0.5, np.array([54, 54, 54]))
+    computed = disagreement(reduced, 8, 0.5, np.array([54, 54, 54]), np.ones(3))
     assert computed is not None
     assert computed.alone_px == COMPUTED_PX
+
+
+def test_copies_do_not_dilute_a_contradiction() -> None:
+    rng = np.random.default_rng(4)
+    once = rng.normal(0, 3.0, (3, 9, 9))
+    alone = disagreement(once, 8, 0.2, np.full(3, 54), np.ones(3))
+    times = np.array([5.0] * 5 + [1.0, 1.0])
+    often = once[[0] * 5 + [1, 2]] / np.sqrt(times)[:, None, None]
+    found = disagreement(often, 8, 0.2, np.full(7, 54), times)
+    assert alone is not None
+    assert found is not None
+    np.testing.assert_allclose(found[:3], alone[:3])
+    assert found.worst == {0: 0, 1: 5, 2: 6}[alone.worst]
+    # One view many times has nobody to disagree with.
+    assert disagreement(often[:5], 8, 0.2, np.full(5, 54), times[:5]) is None
+
+
+@pytest.mark.parametrize("frames", [1, 2, 20])
+def test_frames_from_two_places_do_not_hide_that_the_zoom_was_changed(frames: int) -> None:
+    seen = zoomed(0.8, 2)
+    verdict = calibrate(seen[:1] * frames + seen[1:] * frames, SIZE).verdict
+    assert not verdict.usable
+    assert "The views contradict each other" in verdict.reasons[0]

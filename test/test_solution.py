@@ -60,7 +60,7 @@ def test_what_plumb_bob_does_not_hold_is_what_it_misses_beyond_the_method() -> N
     misses = squared_errors(found, solution.camera).sum()
     own = found.adjustment.linearise(found.geometry).squares[0]
     assert solution.unheld_px == pytest.approx(np.sqrt((misses - own) / (2 * 54)))
-    assert map_solution(estimate_map(stack, SIZE, Priors())).unheld_px == 0
+    assert map_solution(estimate_map(stack, SIZE, Priors()), alike).unheld_px == 0
 
 
 def test_the_remainder_of_the_lens_widens_the_focal_length_alone() -> None:
@@ -76,11 +76,23 @@ def test_the_remainder_of_the_lens_widens_the_focal_length_alone() -> None:
 def test_a_stated_focal_length_is_held_against_what_the_views_say_without_it() -> None:
     views = noisy(views_at(*TILTS), 0.2, 1)
     stack, alike = stack_views(views), copies(views, SIZE)
-    free = map_solution(estimate_map(stack, SIZE, Priors(), alike))
+    free = map_solution(estimate_map(stack, SIZE, Priors(), alike), alike)
     stated = Priors(focal_px=(1200.0, 1.0))
-    solution = map_solution(estimate_map(stack, SIZE, stated, alike))
+    solution = map_solution(estimate_map(stack, SIZE, stated, alike), alike)
     assert with_stated_focal(solution, stack, SIZE, Priors(), alike) is solution
     held = with_stated_focal(solution, stack, SIZE, stated, alike)
     off = abs(np.log(free.camera.fx / 1200)) / np.hypot(1 / 1200, focal_std(free, SIZE))
     assert held.prior_conflicts[FOCAL] == pytest.approx(max(off, solution.prior_conflicts[FOCAL]))
+    parallel = with_stated_focal(solution, stack, SIZE, stated, alike, tilted=False)
+    assert parallel.prior_conflicts[FOCAL] == pytest.approx(off)
     assert held.prior_conflicts[FOCAL] > 2.5
+
+
+def test_a_focal_length_that_is_stated_truly_is_not_contradicted_by_a_parallel_board() -> None:
+    """Which without it would be tilted, behind a longer lens: far from linear, and no nearer to the truth."""
+    camera = Camera(900.0, 900.0, 639.5, 479.5, [-0.2, 0.05, 0, 0, 0])
+    for seed in range(10):
+        views = noisy(views_at((1, 36.0 * seed), camera=camera, span=0.8), 0.2, seed)
+        found = calibrate(views, SIZE, priors=Priors(focal_px=(900.0, 9.0)))
+        assert FOCAL not in found.prior_conflicts
+        assert found.camera.fx == pytest.approx(900, abs=27)

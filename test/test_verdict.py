@@ -48,14 +48,15 @@ SOUND = Evidence(
 CASES: dict[str, tuple[dict[str, object], str]] = {
     "scatter": (
         {"sigma_px": 4.2},
-        "The points miss the camera by 4.2 px (one sigma), more than any board or lens explains; check that "
-        "points and board belong together, the board is flat, the lens no fisheye and every prior true.",
+        "The points miss the camera by so much that one sigma is 4.2 px, more than any board or lens "
+        "explains; check that points and board belong together, the board is flat, the lens no fisheye and "
+        "every prior true.",
     ),
     "a view of other points": (
         {"sigma_px": 23.0, "view_rms": np.array([0.5, 35.3, 0.54])},
-        "The points miss the camera by 23 px (one sigma), more than any board or lens explains; view 2 "
-        "misses by 35 px, the others by up to 0.54 px, so leave it out, or check that points and board "
-        "belong together, the board is flat, the lens no fisheye and every prior true.",
+        "The points miss the camera by so much that one sigma is 23 px, more than any board or lens "
+        "explains; view 2 misses by 35 px, the others by up to 0.54 px, so leave it out, or check that "
+        "points and board belong together, the board is flat, the lens no fisheye and every prior true.",
     ),
     "two cameras": (
         {"disagreement": Disagreement(2.3, 0.12, 1.9, 0)},
@@ -71,8 +72,8 @@ CASES: dict[str, tuple[dict[str, object], str]] = {
     ),
     "fronto-parallel": (
         {"rotations": rotations((2, 0), (3.2, 90))},
-        "Fronto-parallel: the board is within 4 deg of parallel to the image, which says nothing of the "
-        "focal length; tilt it by 30 deg or more.",
+        "Fronto-parallel: the board is within 4 deg of parallel to the image, which says next to nothing of "
+        "the focal length; tilt it by 30 deg or more.",
     ),
     "parallel": (
         {"rotations": rotations((30, 0), (32.5, 0))},

@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scenes import BOARD
 
+from fewcal.adjustment import rotation_from_vector
 from fewcal.boards import Chessboard
 from fewcal.errors import InvalidInput
 from fewcal.views import View, align_views, stack_views
@@ -149,3 +151,32 @@ def test_views_without_sigmas_weigh_as_much_as_those_with_sigmas() -> None:
     np.testing.assert_array_equal(squares[0], 1)
     assert squares[1:].mean() == pytest.approx(1)
     assert (squares[1] > squares[2]).all()
+
+
+@pytest.mark.parametrize("part", [slice(None), slice(0, 30), np.arange(54) % 9 < 3, [0, 4, 9, 40]])
+@pytest.mark.parametrize(
+    ("order", "shift", "axes"),
+    [
+        ([0, 1, 2], 0.1, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        ([0, 2, 1], 0.0, [[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        ([2, 0, 1], 0.0, [[0, 1, 0], [0, 0, 1], [1, 0, 0]]),
+    ],
+)
+def test_the_axes_of_a_plane_are_those_of_the_board_whatever_part_is_seen(
+    order: list[int], shift: float, axes: list[list[int]], part: Any
+) -> None:
+    """The mean of many times 0.1 is not 0.1; and a board that is higher than wide is not lying."""
+    for points in (BOARD.points, BOARD.points[:, [1, 0, 2]]):
+        seen = (points + np.array([0, 0, shift]))[part][:, order]
+        plane = stack_views([View(seen, np.zeros((len(seen), 2)))]).plane[0]
+        np.testing.assert_allclose(plane.T, axes, atol=1e-12)
+
+
+def test_a_plane_at_any_angle_has_axes_in_it() -> None:
+    points = BOARD.points @ rotation_from_vector(np.array([0.4, -0.3, 0.9])).T
+    planes = [stack_views([View(seen, np.zeros((len(seen), 2)))]).plane[0] for seen in (points, points[:20])]
+    np.testing.assert_allclose(planes[0], planes[1], atol=1e-12)
+    np.testing.assert_allclose((points - points[0]) @ planes[0][:, 2], 0, atol=1e-15)
+    np.testing.assert_allclose(planes[0].T @ planes[0], np.eye(3), atol=1e-12)
+    assert np.linalg.det(planes[0]) == pytest.approx(1)
+    assert planes[0][0, 0] > 0

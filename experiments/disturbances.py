@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from synthetic import BEND, BOARDS, LARGEST, Scene, draw_camera, place, real, rotation
 
 import fewcal
-from fewcal.departures import lens_remainder
+from fewcal.departures import lens_remainder, radial_terms
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator
@@ -65,7 +65,9 @@ def seventh(scene: Scene, rng: Generator, share: float) -> Array:
     """A radial term of r^7, in half diagonals at the corner of the image."""
     pixels = scene.pixels(scene.board.points)
     centre = scene.camera.intrinsics[2:]
-    shift = lens_remainder(pixels.swapaxes(1, 2), scene.size, centre).swapaxes(1, 2)
+    shift = lens_remainder(
+        pixels.swapaxes(1, 2), scene.size, centre, radial_terms(scene.camera, scene.size)
+    ).swapaxes(1, 2)
     return np.asarray(pixels + share * rng.choice([-1, 1]) * shift)
 
 

@@ -34,6 +34,7 @@ from fewcal.boards import Chessboard
 from fewcal.constraints import Distribution, Priors, StudentT
 from fewcal.copies import SHARED
 from fewcal.departures import lens_remainder as radial_remainder
+from fewcal.departures import radial_terms
 from fewcal.distortion import fold_radius
 from fewcal.noise import total_sigma
 from fewcal.parametrisation import ScaleFree
@@ -190,7 +191,9 @@ def assumed(scene: Scene, rng: np.random.Generator, far_out: float | None = None
     exact = scene.pixels(points)
     remainder = np.clip(_draw(priors.lens_remainder, rng), -LARGEST * SEVENTH, LARGEST * SEVENTH)
     centre = scene.camera.intrinsics[2:]
-    exact += remainder * radial_remainder(exact.swapaxes(1, 2), scene.size, centre).swapaxes(1, 2)
+    exact += remainder * radial_remainder(
+        exact.swapaxes(1, 2), scene.size, centre, radial_terms(scene.camera, scene.size)
+    ).swapaxes(1, 2)
     left, absorbed = (
         scatter * _repeated(exact.shape, rng),
         total_sigma(np.array(scatter)) * _repeated(exact.shape, rng),

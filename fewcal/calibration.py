@@ -15,7 +15,7 @@ from .camera import Camera
 from .checks import real_array, require_kind
 from .constraints import PRIOR_ROWS, Priors
 from .copies import Copies, copies
-from .departures import COUNT, lens_remainder
+from .departures import COUNT, lens_remainder, radial_terms
 from .errors import DegenerateViews, InvalidInput
 from .least_squares import Stop
 from .map_estimator import estimate_map
@@ -148,8 +148,10 @@ class Calibration:
         uv = real_array(pixels, "pixels")
         if uv.ndim != 2 or uv.shape[1] != 2:
             raise InvalidInput(f"pixels must have shape (N, 2), not {uv.shape}.")
-        centre = self.camera.intrinsics[2:]
-        beyond = self.departures[2] * np.hypot(*lens_remainder(uv.T[None], self.image_size, centre)[0])
+        centre, radial = self.camera.intrinsics[2:], radial_terms(self.camera, self.image_size)
+        beyond = self.departures[2] * np.hypot(
+            *lens_remainder(uv.T[None], self.image_size, centre, radial)[0]
+        )
         of_camera = projection_std(self.camera, self.covariance, uv)
         return np.asarray(np.hypot(of_camera, beyond), dtype=np.float64)
 

@@ -33,7 +33,7 @@ from .least_squares import (
     take,
 )
 from .noise import COMPUTED_PX, Noise
-from .parametrisation import ScaleFree
+from .parametrisation import RADIAL, ScaleFree
 from .planar_pose import planar_poses
 from .prior_rows import PriorRows
 from .radial_prior import Lenses
@@ -251,7 +251,9 @@ def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Adjustment,
     moved, length = problem, math.inf
     while length > SETTLED:
         about = model.natural(state.theta[0])[2:4]
-        departures = problem.departures.about(about, problem.views.pixels, model.image_size)
+        departures = problem.departures.about(
+            about, problem.views.pixels, model.image_size, state.theta[0, RADIAL]
+        )
         moved = replace(problem, departures=departures)
         eliminated = eliminate(moved.rows(state, sigma))
         reduced = eliminated.camera.reshape(-1, state.theta.shape[1] + 1)

@@ -42,6 +42,9 @@ _NODES, _SHARES = np.polynomial.hermite_e.hermegauss(5)
 _SHARES /= _SHARES.sum()
 """Points and weights that integrate over a normal distribution, by Gauss and Hermite."""
 
+RADIAL = slice(4, 6)
+"""Where the radial terms a1 and a2 are among the unknowns of a scale-free camera."""
+
 
 class ScaleFree(NamedTuple):
     """The MAP estimator's unknowns, which depend neither on resolution nor on the unit of length.

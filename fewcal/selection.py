@@ -20,7 +20,7 @@ from .camera import project_jacobians
 from .constraints import Priors
 from .copies import repetition
 from .departures import Departures
-from .parametrisation import ScaleFree
+from .parametrisation import RADIAL, ScaleFree
 from .posterior import posterior
 from .views import View, align_views, distances, stack_views
 
@@ -88,7 +88,9 @@ def information(calibration: Calibration, priors: Priors = Priors()) -> Informat
     rotation = poses[:, :3, :3]
     position = (rotation @ stack.centroid[..., None])[..., 0] + poses[:, :3, 3]
     known = priors.rows(calibration.image_size)
-    departures = Departures.of(stack.points, stack.pixels, model.image_size, camera.intrinsics[2:])
+    departures = Departures.of(
+        stack.points, stack.pixels, model.image_size, camera.intrinsics[2:], theta[RADIAL]
+    )
     problem = Adjustment(stack, model, known, departures=departures)
     unknowns = np.append(theta, calibration.departures)
     geometry = Geometry(unknowns[None], (rotation @ stack.plane)[None], position[None])

@@ -13,7 +13,7 @@ from .agreement import Disagreement, disagreement
 from .camera import Camera, project
 from .constraints import FOCAL, PRIOR_ROWS, Priors
 from .copies import Copies, share_weight
-from .departures import COUNT, axial_remainder
+from .departures import COUNT, axial_remainder, radial_terms
 from .elimination import eliminate
 from .map_estimator import estimate_map
 from .noise import Noise
@@ -188,7 +188,7 @@ def focal_std(solution: Solution, size: tuple[int, int]) -> float:
 def spread(covariance: Array, camera: Camera, departures: Array, size: tuple[int, int]) -> Array:
     """One sigma (8,) of the parameters, see :attr:`Calibration.std`."""
     sd: Array = np.sqrt(np.diagonal(covariance))
-    axial = departures[2] * axial_remainder(size, camera.intrinsics[2:])
+    axial = departures[2] * axial_remainder(size, camera.intrinsics[2:], radial_terms(camera, size))
     sd[:2] = np.hypot(sd[:2], axial * camera.intrinsics[:2])
     return sd
 

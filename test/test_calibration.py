@@ -14,7 +14,7 @@ from fewcal.boards import Chessboard
 from fewcal.calibration import METHODS, Calibration, calibrate
 from fewcal.camera import Camera, project_pixel_model_jacobians
 from fewcal.constraints import Priors
-from fewcal.departures import axial_remainder, lens_remainder
+from fewcal.departures import axial_remainder, lens_remainder, radial_terms
 from fewcal.errors import InvalidInput
 from fewcal.posterior import NAMES
 from fewcal.verdict import Thresholds
@@ -249,7 +249,9 @@ def test_names_and_units_of_the_error_bars() -> None:
     assert tuple(found.std) == NAMES
     sd = np.sqrt(np.diagonal(found.covariance))
     np.testing.assert_allclose(list(found.std.values())[2:], sd[2:])
-    axial = found.departures[2] * axial_remainder(SIZE, found.camera.intrinsics[2:])
+    axial = found.departures[2] * axial_remainder(
+        SIZE, found.camera.intrinsics[2:], radial_terms(found.camera, SIZE)
+    )
     expected = np.hypot(sd[:2], axial * found.camera.intrinsics[:2])
     np.testing.assert_allclose([found.std["fx"], found.std["fy"]], expected)
     assert found.focal_std == pytest.approx(found.std["fx"] / found.camera.fx)
@@ -301,7 +303,8 @@ def test_projection_is_as_wrong_as_the_lens_departs_from_the_model() -> None:
     corners = np.array([[0.0, 0.0], [1279.0, 959.0]])
     own = found.projection_std(corners)
     departing = replace(found, departures=np.array([0.0, 0.0, 0.2, 0.0]))
-    shift = lens_remainder(corners.T[None], SIZE, found.camera.intrinsics[2:])[0]
+    radial = radial_terms(found.camera, SIZE)
+    shift = lens_remainder(corners.T[None], SIZE, found.camera.intrinsics[2:], radial)[0]
     np.testing.assert_allclose(
         departing.projection_std(corners), np.hypot(own, 0.2 * np.hypot(*shift)), rtol=1e-3
     )

@@ -7,13 +7,22 @@ from scenes import BOARD, CAMERA, SIZE, noisy, pose
 
 import fewcal
 from fewcal.constraints import Normal, Priors
-from fewcal.departures import Departures, axial_remainder, lens_remainder, lifts
+from fewcal.departures import STRAIGHT, Departures, axial_remainder, lens_remainder, lifts, radial_terms
 
 Array = NDArray[np.float64]
 
 NONE = Normal(0.0, 1e-9)
 FLAT = Priors(board_bend=NONE, lens_remainder=NONE, print_stretch=NONE)
 POSES = [pose(40, 20), pose(25, 110), pose(35, 240, span=0.7)]
+
+
+WIDE = [
+    (35, 40, (-250, -150)),
+    (30, 130, (250, -150)),
+    (35, 220, (-250, 150)),
+    (30, 310, (250, 150)),
+    (20, 0, (0, 0)),
+]
 
 
 def bent_views(bend: tuple[float, float]) -> list[fewcal.View]:
@@ -65,7 +74,9 @@ def test_a_view_has_the_departures_of_its_points() -> None:
     np.testing.assert_array_equal(found.lift, lifts(points))
     np.testing.assert_array_equal(found.shift, lens_remainder(pixels, SIZE, centre))
     np.testing.assert_array_equal(found.stretch, [[points[0, 0] / 2, -points[0, 1] / 2]])
-    moved, other = found.about(centre + 9, pixels, SIZE), Departures.of(points, pixels, SIZE, centre + 9)
+    radial = np.array([-0.1, 0.02])
+    moved = found.about(centre + 9, pixels, SIZE, radial)
+    other = Departures.of(points, pixels, SIZE, centre + 9, radial)
     np.testing.assert_array_equal(moved.shift, other.shift)
     np.testing.assert_array_equal(moved.lift, other.lift)
 
@@ -120,7 +131,8 @@ def test_the_remainder_of_a_lens_is_told_from_its_distortion(coefficient: float,
     shifted = []
     for T in POSES:
         pixels = lens.project(BOARD.points, T)
-        shift = coefficient * lens_remainder(pixels.T[None], SIZE, lens.intrinsics[2:])[0].T
+        radial = radial_terms(lens, SIZE)
+        shift = coefficient * lens_remainder(pixels.T[None], SIZE, lens.intrinsics[2:], radial)[0].T
         shifted.append(fewcal.View(BOARD.points, pixels + shift))
     found = fewcal.calibrate(shifted, SIZE)
     wrong = fewcal.calibrate(shifted, SIZE, priors=FLAT)
@@ -129,6 +141,21 @@ def test_the_remainder_of_a_lens_is_told_from_its_distortion(coefficient: float,
     error, without = (np.linalg.norm(answer.camera.project(ray) - corner) for answer in (found, wrong))
     assert found.departures[2] == pytest.approx(coefficient, rel=0.3)
     assert error < 0.5 * without
+
+
+@pytest.mark.parametrize("k3", [-0.01, 0.02])
+def test_the_remainder_is_the_third_radial_term_of_the_model(k3: float) -> None:
+    """Also of a wide lens, whose barrel brings the corners of the image nearer by a third."""
+    lens = fewcal.Camera(800.0, 800.0, 645.0, 475.0, [-0.2, 0.06, 0.0, 0.0, k3])
+    views = [
+        fewcal.View(BOARD.points, lens.project(BOARD.points, pose(tilt, about, camera=lens, shift_px=shift)))
+        for tilt, about, shift in WIDE
+    ]
+    found = fewcal.calibrate(noisy(views, 0.02, 1), SIZE)
+    assert found.departures[2] == pytest.approx(k3, rel=0.2)
+    corners = np.array([[0.0, 0.0], [1279.0, 0.0], [0.0, 959.0], [1279.0, 959.0]])
+    missed = np.linalg.norm(found.camera.project(lens.unproject(corners)) - corners, axis=1)
+    assert np.all(missed < 2 * found.projection_std(corners))
 
 
 @pytest.mark.parametrize("method", ["zhu2020", "zhang"])
@@ -140,5 +167,6 @@ def test_the_other_methods_know_no_departures(method: str) -> None:
 def test_the_remainder_changes_the_focal_length_on_the_axis(offset: list[float]) -> None:
     centre, step = (np.array(SIZE) - 1) / 2 + offset, np.array([1e-3, 0.0])
     at = np.clip(centre, 0, np.array(SIZE)) + step
-    shift = lens_remainder(at[None, :, None], SIZE, centre)[0, :, 0]
-    assert shift[0] / step[0] == pytest.approx(axial_remainder(SIZE, centre), rel=1e-6)
+    for radial in (STRAIGHT, np.array([-0.2, 0.05])):
+        shift = lens_remainder(at[None, :, None], SIZE, centre, radial)[0, :, 0]
+        assert shift[0] / step[0] == pytest.approx(axial_remainder(SIZE, centre, radial), rel=1e-5)

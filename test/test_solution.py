@@ -10,7 +10,7 @@ from fewcal.calibration import calibrate
 from fewcal.camera import Camera
 from fewcal.constraints import FOCAL, Priors
 from fewcal.copies import copies
-from fewcal.departures import axial_remainder
+from fewcal.departures import axial_remainder, radial_terms
 from fewcal.map_estimator import estimate_map
 from fewcal.solution import (
     focal_std,
@@ -68,7 +68,11 @@ def test_the_remainder_of_the_lens_widens_the_focal_length_alone() -> None:
     plain = np.sqrt(np.diagonal(covariance))
     np.testing.assert_array_equal(spread(covariance, CAMERA, np.zeros(4), SIZE), plain)
     wide = spread(covariance, CAMERA, departures, SIZE)
-    beyond = 0.02 * axial_remainder(SIZE, CAMERA.intrinsics[2:]) * CAMERA.intrinsics[:2]
+    beyond = (
+        0.02
+        * axial_remainder(SIZE, CAMERA.intrinsics[2:], radial_terms(CAMERA, SIZE))
+        * CAMERA.intrinsics[:2]
+    )
     np.testing.assert_allclose(wide[:2], np.hypot(plain[:2], beyond))
     np.testing.assert_array_equal(wide[2:], plain[2:])
 

@@ -30,6 +30,8 @@ STRAIGHT = np.zeros(2)
 _UNDISTORTED = 1e-9
 """Half diagonals to which a radius is undistorted."""
 _NEWTON_STEPS = 20
+_LEAST_SLOPE = 0.1
+"""So near to a fold a step is held short."""
 
 
 class Departures(NamedTuple):
@@ -119,9 +121,9 @@ def _undistorted(r: Array, radial: Array) -> Array:
     for _ in range(_NEWTON_STEPS):
         u2 = u * u
         off = u * (1 + u2 * (a1 + a2 * u2)) - r
-        if np.abs(off).max() < _UNDISTORTED:
+        if np.abs(off).max(initial=0.0) < _UNDISTORTED:
             return u
-        u = np.clip(u - off / np.maximum(1 + u2 * (3 * a1 + 5 * a2 * u2), 0.1), 0, 2 * r)
+        u = np.clip(u - off / np.maximum(1 + u2 * (3 * a1 + 5 * a2 * u2), _LEAST_SLOPE), 0, 2 * r)
     return np.where(np.abs(off) < _UNDISTORTED, u, r)
 
 

@@ -294,6 +294,7 @@ def test_projection_is_known_best_where_the_board_was() -> None:
     corners = found.projection_std([[0, 0], [w - 1, 0], [0, h - 1], [w - 1, h - 1]])
     centre = found.projection_std([[(w - 1) / 2, (h - 1) / 2]])
     assert (centre > 0).all()
+    assert found.projection_std(np.zeros((0, 2))).shape == (0,)
     assert corners.min() > centre[0]
     assert (face_on().projection_std([[0, 0], [640, 480]]) > [1.0, 0.0]).all()
 

@@ -7,7 +7,15 @@ from scenes import BOARD, CAMERA, SIZE, noisy, pose
 
 import fewcal
 from fewcal.constraints import Normal, Priors
-from fewcal.departures import STRAIGHT, Departures, axial_remainder, lens_remainder, lifts, radial_terms
+from fewcal.departures import (
+    STRAIGHT,
+    Departures,
+    _undistorted,
+    axial_remainder,
+    lens_remainder,
+    lifts,
+    radial_terms,
+)
 
 Array = NDArray[np.float64]
 
@@ -141,6 +149,16 @@ def test_the_remainder_of_a_lens_is_told_from_its_distortion(coefficient: float,
     error, without = (np.linalg.norm(answer.camera.project(ray) - corner) for answer in (found, wrong))
     assert found.departures[2] == pytest.approx(coefficient, rel=0.3)
     assert error < 0.5 * without
+
+
+@pytest.mark.parametrize("radial", [(-0.25, 0.08), (0.2, -0.03), (-0.1, -0.02)])
+def test_a_radius_without_the_distortion_is_that_of_the_model(radial: tuple[float, float]) -> None:
+    straight = np.linspace(0, 0.9, 50)
+    a1, a2 = radial
+    seen = straight * (1 + a1 * straight**2 + a2 * straight**4)
+    np.testing.assert_allclose(_undistorted(seen, np.array(radial)), straight, atol=1e-8)
+    # Beyond the fold there is none.
+    assert _undistorted(np.array([0.9]), np.array([-0.9, 0.0])) == 0.9
 
 
 @pytest.mark.parametrize("k3", [-0.01, 0.02])

@@ -192,6 +192,8 @@ class LiveCalibration:
         except FutureTimeout:
             with self._lock:
                 claimed = self._request is not mine
+                if not claimed:
+                    self._request = None
             if claimed:  # its image is being looked at, and the view will be kept or not
                 return future.result()
             arrived = self._mailbox.received - number
@@ -201,10 +203,6 @@ class LiveCalibration:
                 if arrived
                 else f"No image arrived within {timeout_s:g} s. {self._silence()}"
             ) from None
-        finally:
-            with self._lock:
-                if self._request is mine:
-                    self._request = None
 
     def calibrate(self) -> Result:
         """Calibrate from the views kept so far.

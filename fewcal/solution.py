@@ -81,9 +81,7 @@ def map_solution(found: Estimate, alike: Copies) -> Solution:
         coefficients = from_plumb_bob(camera)
     rows = found.adjustment.rows(found.geometry, found.sigma)
     result = posterior(rows, known.tails(found.geometry.theta[0]))
-    conflicts = known.distance(found.geometry.theta[0])
-    own = slice(model.size)
-    conflicts[own] = np.maximum(conflicts[own], np.abs(result.against_prior[own]))
+    conflicts = np.maximum(known.distance(found.geometry.theta[0]), np.abs(result.against_prior))
     left = _worst_by_name(1 - determined_share(result))
     return Solution(
         camera=camera,

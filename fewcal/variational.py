@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .scale_mixture import Tails, whitened
+from .scale_mixture import Tails, moments, whitened
 
 Array = NDArray[np.float64]
 
@@ -145,7 +145,10 @@ def contradictions(J: Array, r: Array, tails: Tails, covariance: Array) -> Array
         without = middle(J, r, others, squares=np.zeros(len(found)))
         if without is not None:
             z = tails.z[row] + by_unknowns @ without.step
-            found[row] = z / math.sqrt(1 + max(float(by_unknowns @ without.covariance @ by_unknowns), 0.0))
+            at = others._replace(z=others.z + others.by_unknowns @ without.step)
+            # Of the normal distribution this would be too small: it does not count the tails of the others.
+            variance = float(by_unknowns @ moments(J, r + J @ without.step, at).covariance @ by_unknowns)
+            found[row] = z / math.sqrt(1 + variance) if variance >= 0 else 0.0
     return found
 
 

@@ -57,10 +57,11 @@ def test_what_is_lost_is_compared_with_the_scatter_of_each_view_alone() -> None:
 
 def test_views_of_few_points_do_not_tell() -> None:
     reduced = np.ones((3, 9, 9))
+    reduced[2] = 2
     assert disagreement(reduced, 8, 1.0, np.array([54, 9, 9]), np.ones(3)) is None
     several = disagreement(reduced, 8, 1.0, np.array([54, 9, 54]), np.ones(3))
     assert several is not None
-    assert several.worst != 1
+    assert several.worst == 2
 
 
 def test_two_views_lose_what_one_camera_holds() -> None:
@@ -81,6 +82,7 @@ def test_two_views_lose_what_one_camera_holds() -> None:
 def test_copies_do_not_dilute_a_contradiction() -> None:
     rng = np.random.default_rng(4)
     once = rng.normal(0, 3.0, (3, 9, 9))
+    once[:, :8, -1] = np.array([[4.0], [3.0], [2.0]])  # the first loses most, all its copies together
     alone = disagreement(once, 8, 0.2, np.full(3, 54), np.ones(3))
     times = np.array([5.0] * 5 + [1.0, 1.0])
     often = once[[0] * 5 + [1, 2]] / np.sqrt(times)[:, None, None]
@@ -88,14 +90,15 @@ def test_copies_do_not_dilute_a_contradiction() -> None:
     assert alone is not None
     assert found is not None
     np.testing.assert_allclose(found[:3], alone[:3])
-    assert found.worst == {0: 0, 1: 5, 2: 6}[alone.worst]
+    assert found.worst == alone.worst == 0
     # One view many times has nobody to disagree with.
     assert disagreement(often[:5], 8, 0.2, np.full(5, 54), times[:5]) is None
 
 
+@pytest.mark.parametrize("method", ["map", "zhu2020"])
 @pytest.mark.parametrize("frames", [1, 2, 20])
-def test_frames_from_two_places_do_not_hide_that_the_zoom_was_changed(frames: int) -> None:
+def test_frames_from_two_places_do_not_hide_that_the_zoom_was_changed(frames: int, method: str) -> None:
     seen = zoomed(0.8, 2)
-    verdict = calibrate(seen[:1] * frames + seen[1:] * frames, SIZE).verdict
+    verdict = calibrate(seen[:1] * frames + seen[1:] * frames, SIZE, method).verdict
     assert not verdict.usable
-    assert "The views contradict each other" in verdict.reasons[0]
+    assert "The views contradict each other" in " ".join(verdict.reasons)

@@ -13,7 +13,7 @@ from scenes import BOARD, CAMERA, SIZE, noisy, pose, view, views_at
 from fewcal.boards import Chessboard
 from fewcal.calibration import METHODS, Calibration, calibrate
 from fewcal.camera import Camera, project_pixel_model_jacobians
-from fewcal.constraints import Priors
+from fewcal.constraints import Normal, Priors
 from fewcal.departures import axial_remainder, lens_remainder, radial_terms
 from fewcal.errors import InvalidInput
 from fewcal.posterior import NAMES
@@ -404,6 +404,16 @@ def test_a_focal_length_far_from_the_truth_is_named_whatever_else_gives_way(stat
     found = calibrate(noisy(views_at(*FIVE[:2]), 0.2, 1), SIZE, priors=Priors(focal_px=(stated, sd)))
     assert found.prior_conflicts["focal length"] > 3
     assert not found.verdict.usable or found.camera.fx == pytest.approx(1100, rel=0.02)
+
+
+def test_squares_that_were_stated_falsely_are_a_conflict() -> None:
+    views = noisy(views_at(*FIVE), 0.1, 1)
+    # What is stated is a board of other squares than were printed.
+    false = [View(view.object_points * np.array([1.005, 1, 1]), view.image_points) for view in views]
+    square = Priors(print_stretch=Normal(0.0, 1e-4))
+    (reason,) = calibrate(false, SIZE, priors=square).verdict.reasons
+    assert "stretch of the print contradicts" in reason
+    assert calibrate(views, SIZE, priors=square).verdict.usable
 
 
 def test_a_conflict_far_out_in_the_tail_of_a_prior_is_not_settled() -> None:

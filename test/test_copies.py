@@ -125,6 +125,25 @@ def test_an_original_is_a_view_of_the_same_points() -> None:
     np.testing.assert_array_equal(found.original, [0, 1, 1, 3, 1, 3, 0])
 
 
+def test_an_original_is_the_first_that_is_near_and_repeats_none_itself() -> None:
+    first, *_ = noisy()
+
+    def moved(*shifts: float) -> list[View]:
+        step = SAME_PLACE * DIAGONAL * np.array([1, 0])
+        return [View(first.object_points, first.image_points + shift * step) for shift in shifts]
+
+    np.testing.assert_array_equal(copies(moved(0, 0.9, 1.8, 3.2), SIZE).original, [0, 0, 0, 3])
+    np.testing.assert_array_equal(copies(moved(0, 1.6, 0.8), SIZE).original, [0, 1, 0])
+
+
+def test_views_are_compared_though_only_others_show_that_they_are_of_one_board() -> None:
+    first, *_ = noisy()
+    left, middle, right = np.split(np.arange(54), 3)
+    parts = left, right, np.append(middle, right), np.append(left, middle)
+    views = [View(first.object_points[part], first.image_points[part]) for part in parts]
+    np.testing.assert_allclose(copies(views, SIZE).times, [2, 2, 3, 3])
+
+
 def test_computed_views_are_no_copies_however_alike_they_are() -> None:
     trial = paper_trial(20, 1.2, views=2)
     shift = np.linalg.norm(trial.views[0].image_points - trial.views[1].image_points, axis=1).max()

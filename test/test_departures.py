@@ -188,3 +188,8 @@ def test_the_remainder_changes_the_focal_length_on_the_axis(offset: list[float])
     for radial in (STRAIGHT, np.array([-0.2, 0.05])):
         shift = lens_remainder(at[None, :, None], SIZE, centre, radial)[0, :, 0]
         assert shift[0] / step[0] == pytest.approx(axial_remainder(SIZE, centre, radial), rel=1e-5)
+
+
+def test_the_remainder_of_the_lens_does_not_move_its_centre() -> None:
+    shift = lens_remainder(np.full((1, 2, 1), 320.0), (640, 480), np.array([320.0, 320.0]))
+    np.testing.assert_array_equal(shift, 0)

@@ -23,14 +23,24 @@ def test_a_disturbance_moves_the_points_a_little(name: str) -> None:
 
 def test_squares_that_are_not_square_show_in_the_focal_length() -> None:
     quiet, stretched = (
-        np.abs([run((name, number, 2)).z for number in range(12)]) for name in ("nothing", "squares 0.5 %")
+        np.abs([run((name, number, 2, None)).z for number in range(12)])
+        for name in ("nothing", "squares 0.5 %")
     )
     assert np.all(quiet < 3)
     assert np.median(stretched) > np.median(quiet)
-    assert np.isfinite(run(("real", 1, None)).z)
+    assert np.isfinite(run(("real", 1, None, None)).z)
 
 
 def test_views_that_no_camera_suits_are_not_usable() -> None:
     # Draw 93 asks for a bend without which the board would lie behind the camera.
     for number in (93, 94, 95):
-        assert not run(("zoom of one view 0.8", number, 2)).usable
+        assert not run(("zoom of one view 0.8", number, 2, None)).usable
+
+
+def test_squares_that_are_stated_to_be_square_and_are_not_are_found_out() -> None:
+    stated = [
+        sum(run((name, number, 5, 1e-5)).usable for number in range(8))
+        for name in ("nothing", "squares 0.5 %")
+    ]
+    assert stated[0] >= 6
+    assert stated[1] <= 1

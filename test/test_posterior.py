@@ -155,6 +155,21 @@ def test_only_normal_priors_are_held_against_the_rest() -> None:
     np.testing.assert_array_equal(found[1:], 0)
 
 
+def test_what_was_known_beforehand_counts_all_kinds_of_lenses_and_how_far_out_the_camera_lies() -> None:
+    rows = random_rows(3, size=12)
+    rows = rows._replace(r=np.zeros_like(rows.r))
+    found, far = (
+        posterior(rows, Priors().rows(SIZE).tails(np.array([7.0, aspect, *np.zeros(10)])))
+        for aspect in (0.0, 0.1)
+    )
+    normal = Priors().rows(SIZE).tails(np.array([7.0, *np.zeros(11)])).normal
+    assert normal is not None
+    np.testing.assert_allclose(found.prior_covariance, covariance_from_rows(normal))
+    np.testing.assert_allclose(far.prior_covariance, found.prior_covariance)
+    assert far.prior[1, 1] < 0.01 * found.prior[1, 1], "a t prior that has given way holds no more"
+    np.testing.assert_allclose(far.prior[4:6, 4:6], found.prior[4:6, 4:6])
+
+
 # --- camera and board --------------------------------------------------------------------------------------
 
 

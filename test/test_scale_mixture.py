@@ -87,6 +87,16 @@ def test_of_two_alternatives_each_counts_as_it_is_likely(share: float, sd: float
     assert np.sqrt(found.covariance[0, 0]) == pytest.approx(expected, rel=0.1)
 
 
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+def test_of_a_narrow_and_a_wide_alternative_each_counts_as_it_is_likely(share: float) -> None:
+    nu, scale, sd = np.array([3.0, 3.0]), np.array([0.3, 4.0]), 3.0
+    height = np.log(np.array([share, 1 - share]) / scale)
+    tails = Tails(np.zeros(2), 1 / scale[:, None], np.array([0, 1]), nu, height)
+    found = moments(np.array([[1 / sd]]), np.zeros(1), tails)
+    expected = integrated(list(zip((share, 1 - share), nu, scale, np.zeros(2), strict=True)), sd, 0.0)
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(expected, rel=0.05)
+
+
 @pytest.mark.parametrize("nu", [3.0, 5.0, 30.0])
 def test_one_and_two_sigma_hold_nearly_what_they_do_of_a_normal_distribution(
     nu: float,

@@ -12,6 +12,7 @@ from fewcal.constraints import FOCAL, Priors
 from fewcal.copies import copies
 from fewcal.departures import axial_remainder, radial_terms
 from fewcal.map_estimator import estimate_map
+from fewcal.posterior import determined_share, posterior
 from fewcal.solution import (
     focal_std,
     map_solution,
@@ -89,6 +90,8 @@ def test_a_stated_focal_length_is_held_against_what_the_views_say_without_it() -
     assert held.prior_conflicts[FOCAL] == pytest.approx(max(off, solution.prior_conflicts[FOCAL]))
     parallel = with_stated_focal(solution, stack, SIZE, stated, alike, tilted=False)
     assert parallel.prior_conflicts[FOCAL] == pytest.approx(off)
+    near = replace(solution, prior_conflicts={FOCAL: 99.0})
+    assert with_stated_focal(near, stack, SIZE, stated, alike).prior_conflicts[FOCAL] == 99
     assert held.prior_conflicts[FOCAL] > 2.5
 
 
@@ -100,3 +103,16 @@ def test_a_focal_length_that_is_stated_truly_is_not_contradicted_by_a_parallel_b
         found = calibrate(views, SIZE, priors=Priors(focal_px=(900.0, 9.0)))
         assert FOCAL not in found.prior_conflicts
         assert found.camera.fx == pytest.approx(900, abs=27)
+
+
+def test_a_quantity_of_two_unknowns_is_settled_as_its_worse_one_is() -> None:
+    views = noisy(views_at(*TILTS), 0.2, 1)
+    stack, alike = stack_views(views), copies(views, SIZE)
+    found = estimate_map(stack, SIZE, Priors(), alike)
+    rows = found.adjustment.rows(found.geometry, found.sigma)
+    share = determined_share(posterior(rows, Priors().rows(SIZE).tails(found.geometry.theta[0])))
+    settled = map_solution(found, alike).settled
+    assert settled is not None
+    for name, pair in (("radial distortion", share[4:6]), ("tangential distortion", share[6:8])):
+        assert pair.min() < pair.max()
+        assert settled[name] == pytest.approx(pair.min())

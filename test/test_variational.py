@@ -83,6 +83,18 @@ def test_of_two_alternatives_each_counts_as_it_is_likely(off: float, sd: float) 
     assert abs(at - mean) < 0.25 * spread
 
 
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9])
+def test_the_likelier_of_two_alternatives_draws_the_more(share: float) -> None:
+    kinds = Tails(np.array([1.0, -1.0]), np.ones((2, 1)), np.arange(2), np.full(2, 3.0))
+    kinds = kinds._replace(height=np.log([share, 1 - share]))
+    x = np.linspace(-60, 60, 240_001)
+    prior = share * student.pdf(x + 1, 3.0) + (1 - share) * student.pdf(x - 1, 3.0)
+    density = prior * np.exp(-0.5 * x**2)
+    mean = (x * density).sum() / density.sum()
+    spread = np.sqrt(((x - mean) ** 2 * density).sum() / density.sum())
+    assert abs(found(np.ones((1, 1)), np.zeros(1), kinds).step[0] - mean) < 0.25 * spread
+
+
 @given(st.integers(0, 1000))
 def test_it_does_not_depend_on_the_estimate_that_one_starts_from(seed: int) -> None:
     J, r, tails = random(seed)
@@ -137,6 +149,18 @@ def test_a_normal_prior_is_held_against_what_the_others_say(seed: int) -> None:
     expected = (tails.z[3] + K[3] @ step) / np.sqrt(1 + spread)
     # Where a prior decides little, the rest is not asked without it.
     assert held[3] == pytest.approx(expected, rel=1e-2, abs=1e-2)
+
+
+def test_what_the_others_say_is_as_uncertain_as_their_tails_make_it() -> None:
+    # Of a t prior by itself the normal distribution that comes nearest has a variance of one.
+    J, r, nu = np.zeros((1, 1)), np.zeros(1), np.array([np.inf, 1.5])
+    tails = Tails(np.array([5.0, 0.0]), np.ones((2, 1)), np.arange(2), nu)
+    assert 1 < contradictions(J, r, tails, np.eye(1))[0] < 0.9 * 5 / np.sqrt(2)
+
+
+def test_a_prior_that_decides_little_is_as_far_off_as_at_the_estimate() -> None:
+    J, r, tails = np.array([[100.0]]), np.zeros(1), one(np.inf, 3.0)
+    assert contradictions(J, r, tails, found(J, r, tails).covariance) == [3.0]
 
 
 def test_only_normal_priors_are_held_against_the_rest() -> None:

@@ -201,6 +201,13 @@ def test_sound_arrangements(arrangement: tuple[tuple[float, ...], ...], extents:
     assert list(degeneracies(rotations(*arrangement), np.array(extents), copies)) == []
 
 
+def test_a_board_seen_from_behind_is_parallel_to_itself() -> None:
+    (front,) = rotations((30, 20))
+    both = np.stack([front, front @ np.diag([1.0, -1.0, -1.0])])
+    (reason,) = degeneracies(both, np.full(2, 0.3), np.ones(2))
+    assert "parallel" in reason
+
+
 @pytest.mark.parametrize("roll_deg", [0, 17, 45, 90, 133])
 def test_extent_is_the_largest_distance_of_two_points_however_the_board_is_turned(roll_deg: float) -> None:
     c, s = np.cos(np.radians(roll_deg)), np.sin(np.radians(roll_deg))
@@ -297,6 +304,11 @@ def test_misfits_are_judged_by_the_thresholds(case: str, thresholds: Thresholds)
 def test_a_view_is_named_only_where_it_is_one_of_several_and_far_worse(view_rms: list[float]) -> None:
     (reason,) = judge(replace(SOUND, sigma_px=23.0, view_rms=np.array(view_rms))).reasons
     assert "leave it out" not in reason
+
+
+def test_a_view_that_misses_four_times_as_far_as_the_others_is_named() -> None:
+    (reason,) = judge(replace(SOUND, sigma_px=23.0, view_rms=np.array([0.5, 2.0, 0.45]))).reasons
+    assert "view 2 misses by 2 px, the others by up to 0.5 px, so leave it out" in reason
 
 
 def test_only_the_focal_length_contradicts_a_stated_one() -> None:

@@ -79,6 +79,14 @@ def test_a_corner_in_common_makes_no_copy() -> None:
     np.testing.assert_array_equal(copies([first, other], SIZE).times, 1)
 
 
+@pytest.mark.parametrize(("common", "times"), [(3, 1), (4, 2), (5, 2)])
+def test_views_are_compared_by_four_points_or_more(common: int, times: int) -> None:
+    first, *_ = noisy()
+    parts = np.arange(20), np.arange(20 - common, 40)
+    views = [View(first.object_points[part], first.image_points[part]) for part in parts]
+    np.testing.assert_allclose(copies(views, SIZE).times, times)
+
+
 def test_views_are_compared_by_the_points_that_they_share() -> None:
     first, second, _ = noisy()
     part = View(first.object_points[20:], first.image_points[20:])

@@ -11,13 +11,11 @@ from types import SimpleNamespace
 import pytest
 from board_frames import PERIOD_NS, empty, flat, pair, shown
 from board_pictures import BOARD
-from scenes import SIZE, noisy, views_at
 
 import fewcal_ros.live
-from fewcal.calibration import calibrate
 from fewcal.errors import FewcalError, InvalidInput
 from fewcal.session import Session
-from fewcal_ros.health import Level, focal_text, health_values, judge_health
+from fewcal_ros.health import Level, health_values, judge_health
 from fewcal_ros.live import LiveCalibration, Look, Refused
 from fewcal_ros.messages import Frame
 from fewcal_ros.parameters import Parameters
@@ -393,8 +391,3 @@ def test_images_of_another_size_are_a_warning(bench):
     level, sentence = judge_health(bench.live.status())
     assert level is Level.WARN
     assert sentence.startswith("The images are 640x460 now and the views 640x480; go back")
-
-
-def test_a_focal_length_without_error_bars_is_not_determined():
-    found = calibrate(noisy(views_at((40, 30), (35, 120), (30, -60)), 0.1, 1), SIZE, "zhang")
-    assert focal_text(found) == "the focal length is not determined yet"

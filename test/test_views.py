@@ -86,6 +86,19 @@ def test_copies_are_as_read_only_as_what_they_are_copies_of() -> None:
         assert not array.flags.writeable
 
 
+def test_points_of_one_sigma_weigh_one_whichever_view_is_longer() -> None:
+    stack = stack_views([View(OBJECT, IMAGE, 0.3), View(OBJECT[:5], IMAGE[:5], 0.3), View(OBJECT, IMAGE)])
+    np.testing.assert_array_equal(stack.counts, [12, 5, 12])
+    np.testing.assert_allclose(stack.weights[stack.weights > 0], 1)
+
+
+def test_points_that_are_a_little_out_of_a_plane_lie_in_none() -> None:
+    bent = OBJECT.copy()
+    bent[5, 2] = 1e-5 * np.ptp(OBJECT)
+    with pytest.raises(InvalidInput, match="do not lie in one plane"):
+        View(bent, IMAGE)
+
+
 def test_no_point_counts_for_more_than_board_and_lens_let_it() -> None:
     sigma = np.where(np.arange(12) < 6, 1e-6, 0.1)
     weights = stack_views([View(OBJECT, IMAGE, sigma)]).weights[0]

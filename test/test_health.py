@@ -1,0 +1,104 @@
+"""What /diagnostics says of the node, number by number."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+from scenes import SIZE, noisy, views_at
+
+from fewcal.calibration import Calibration, calibrate
+from fewcal.frame_filter import Decision
+from fewcal_ros.health import Level, focal_text, health_values, judge_health
+from fewcal_ros.live import Look, Result, Status
+from fewcal_ros.parameters import Parameters
+from fewcal_ros.stream import ImageStream
+
+PLANES = ((40, 30), (35, 120))
+
+
+def found(seed: int = 1, method: str = "map") -> Calibration:
+    return calibrate(noisy(views_at(*PLANES), 0.1, seed), SIZE, method)
+
+
+@pytest.fixture
+def status() -> Status:
+    """A calibrated node; every count is another one."""
+    calibration = found()
+    return Status(
+        parameters=Parameters(board="chessboard:9x6:0.025"),
+        views=calibration.views,
+        estimate=calibration,
+        result=Result(calibration, "camera"),
+        complete=True,
+        failure="",
+        read=11,
+        with_board=7,
+        rejected=Counter({"no board": 4, "moving": 2}),
+        received=17,
+        dropped=5,
+        unreadable=1,
+        stream=ImageStream(),
+        last=Look(None, decision=Decision(False, "no board", "No chessboard.")),
+        last_took_s=0.0625,
+        idle_s=0.1,
+        silence="",
+    )
+
+
+def test_every_count_is_given_under_its_own_name(status: Status) -> None:
+    values = dict(health_values(status))
+    counts = {
+        "images received": 17,
+        "images dropped": 5,
+        "images unreadable": 1,
+        "images looked at": 11,
+        "images with board": 7,
+        "rejected: no board": 4,
+        "rejected: moving": 2,
+        "views": 2,
+    }
+    assert {name: int(values[name]) for name in counts} == counts
+    assert values["last image took (s)"] == "0.062"
+    assert values["last image"] == "No chessboard."
+    assert (values["complete"], values["calibrated"], values["usable"]) == ("yes", "yes", "yes")
+    assert dict(health_values(replace(status, complete=False)))["complete"] == "no"
+
+
+def test_a_calibration_is_given_with_its_error_bars(status: Status) -> None:
+    assert status.result is not None
+    calibration, values = status.result.calibration, dict(health_values(status))
+    assert calibration.std is not None
+    assert float(values["fx"]) == calibration.camera.fx
+    assert float(values["fx sd"]) == pytest.approx(calibration.std["fx"], rel=1e-5)
+    assert float(values["rms (px)"]) == pytest.approx(calibration.rms, abs=1e-4)
+    assert values["image size"] == "{}x{}".format(*SIZE)
+    assert judge_health(status) == (Level.OK, f"Calibrated and usable: {focal_text(calibration)}.")
+
+
+def test_before_the_first_view_there_is_little_to_tell(status: Status) -> None:
+    before = replace(status, views=(), estimate=None, result=None, complete=False, last=Look(None))
+    values = dict(health_values(before))
+    assert values["calibrated"] == "no"
+    assert values["last image"] == "not needed"
+    assert not {"fx", "estimated f (px)", "rms (px)"} & set(values)
+    level, sentence = judge_health(before)
+    assert level is Level.WARN
+    assert sentence == "0 of 2 views, the focal length is not known yet."
+    assert dict(health_values(replace(before, last=None)))["last image"] == ""
+
+
+def test_other_views_than_those_of_the_calibration_are_told_however_many_they_are(status: Status) -> None:
+    level, sentence = judge_health(replace(status, views=found(2).views))
+    assert level is Level.WARN
+    assert sentence.startswith("The views have changed since the calibration. 2 views now, f = ")
+
+
+def test_the_focal_length_is_given_in_pixels_and_per_cent() -> None:
+    calibration = found()
+    assert calibration.focal_std is not None
+    f, sd = calibration.camera.fx, calibration.focal_std
+    assert focal_text(calibration) == f"f = {f:.1f} +- {sd * f:.1f} px ({100 * sd:.2g} %, one sigma)"
+    assert focal_text(None) == "the focal length is not known yet"
+    assert focal_text(found(method="zhang")) == "the focal length is not determined yet"

@@ -22,7 +22,7 @@ from fewcal.solution import (
     with_stated_focal,
 )
 from fewcal.verdict import Thresholds
-from fewcal.views import stack_views
+from fewcal.views import View, stack_views
 from fewcal.zhu2020 import estimate_zhu2020
 
 SQUARE = Camera(1100.0, 1100.0, 650.0, 470.0, [-0.12, 0.03, 0.0006, -0.0004, 0.0])
@@ -62,6 +62,18 @@ def test_what_plumb_bob_does_not_hold_is_what_it_misses_beyond_the_method() -> N
     own = found.adjustment.linearise(found.geometry).squares[0]
     assert solution.unheld_px == pytest.approx(np.sqrt((misses - own) / (2 * 54)))
     assert map_solution(estimate_map(stack, SIZE, Priors()), alike).unheld_px == 0
+
+
+def test_points_that_count_for_less_do_not_tell_what_plumb_bob_does_not_hold() -> None:
+    rng, sigma = np.random.default_rng(3), np.where(np.arange(54) % 3, 0.05, 1.0)
+    views = [
+        View(view.object_points, view.image_points + rng.normal(0, 1, (54, 2)) * sigma[:, None], sigma)
+        for view in views_at(*TILTS, camera=SQUARE)
+    ]
+    found = estimate_zhu2020(stack_views(views), SIZE)
+    solution = pixel_solution(found, SIZE, Priors(), copies(views, SIZE))
+    assert squared_errors(found, solution.camera).sum() > 20
+    assert solution.unheld_px < 0.2
 
 
 def test_the_remainder_of_the_lens_widens_the_focal_length_alone() -> None:

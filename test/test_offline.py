@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,23 @@ def test_all_good_views_are_held_against_those_chosen(longer: float, contradicte
         assert said.startswith("5 good views together contradict those chosen: fx is 115")
         assert not _contradiction(together, chosen, Thresholds()), "the less sure contradict nobody"
         assert not _contradiction(chosen, together, Thresholds(conflict=np.inf))
+
+
+@pytest.mark.parametrize("name", ["fx", "fy"])
+@pytest.mark.parametrize(("off", "contradicted"), [(2.4, False), (2.6, True), (-2.6, True)])
+def test_either_focal_length_contradicts_by_the_bars_of_those_chosen(
+    name: str, off: float, contradicted: bool
+) -> None:
+    tilts = (40, 30), (35, 120), (30, -60), (20, 80), (45, 200)
+    chosen, together = (calibrate(noisy(views_at(*tilts[:n]), 0.2, 1), SIZE) for n in (2, 5))
+    assert chosen.std is not None
+    assert together.std is not None
+    assert together.std[name] < chosen.std[name] / 1.2
+    there = getattr(chosen.camera, name) + off * chosen.std[name]
+    together = replace(together, camera=replace(chosen.camera, **{name: there}))
+    said = _contradiction(chosen, together, Thresholds())
+    assert bool(said) == contradicted
+    assert not contradicted or f"{name} is {there:.1f} +- {together.std[name]:.1f} px" in said
 
 
 def test_a_focal_length_that_was_stated_is_not_held_against_the_views_as_if_they_said_it() -> None:
@@ -170,11 +188,11 @@ def test_with_fewer_still_views_than_asked_for_none_in_motion_are_taken() -> Non
 
 
 def test_the_size_with_most_good_views_counts() -> None:
-    small = [image[8:-8] for image in pair()]
-    outcome = calibrated([flat(), *small, empty()])
+    small = [image[8:-8] for image in (*pair(), flat())]
+    outcome = calibrated([flat(), *small, empty(), shown(30.0)])
     assert outcome.calibration.image_size == (640, 464)
     assert used(outcome) == [1, 2]
-    assert outcome.rejected == {"other size": 1, "no board": 1}
+    assert outcome.rejected == {"other size": 2, "no board": 1, "not selected": 1}
 
 
 @pytest.mark.parametrize("select", ["best", "first"])

@@ -54,6 +54,8 @@ class Driver:
         self._wait(future.done, time.monotonic() + ANSWER_TIMEOUT_S)
         if not future.done():
             self._client.remove_pending_request(future)
+            if self._closing.is_set():
+                raise Refused("The node is ending.")
             raise Refused(f"{name} has not answered within {ANSWER_TIMEOUT_S:g} s; look at the driver.")
         answer = future.result()
         if not answer.success:

@@ -9,6 +9,7 @@ from enum import Enum
 from fewcal.calibration import Calibration
 
 from .live import Status
+from .messages import OTHER_CAMERA
 
 
 class Level(Enum):
@@ -42,6 +43,8 @@ def judge_health(status: Status) -> tuple[Level, str]:
         return Level.ERROR, status.failure
     if other := _other_images(status):
         return Level.WARN, other
+    if status.last is not None and status.last.decision and status.last.decision.reason == OTHER_CAMERA:
+        return Level.WARN, status.last.decision.message
     if status.result is None:
         seen = status.last.decision.message if status.last and status.last.decision else ""
         count = f"{len(status.views)} of {status.parameters.views_required} views"

@@ -63,7 +63,7 @@ class ImageSubscription:
         self._subscriptions: dict[int, Any] = {}
         self._newest = self._serving = 0
         self._last_stamp: Any = None
-        self.lost = 0
+        self.lost = self._lost_before = 0  # in all, and until the last image that arrived
         # "best available" as the default shows whether anybody asked for anything else.
         self._profile = QoSProfile(
             depth=depth,
@@ -93,9 +93,10 @@ class ImageSubscription:
         """Why no image may have arrived, as a sentence that says what to do."""
         topic, wanted = self.topic_name, _type_name(self._kind)
         offered = self._offered(topic)
-        if self.lost and wanted in offered:
+        lost = self.lost - self._lost_before
+        if lost and wanted in offered:
             return (
-                f"{self.lost} images were lost on the way from {topic}: images of this size need a driver "
+                f"{lost} images were lost on the way from {topic}: images of this size need a driver "
                 "that publishes reliably, or larger buffers of the middleware."
             )
         if wanted in offered:
@@ -104,6 +105,9 @@ class ImageSubscription:
         if base != topic and _type_name(CompressedImage) in self._offered(base + COMPRESSED):
             how = "to which the transport is appended" if self._kind is CompressedImage else _SET_COMPRESSED
             return f"{base}{COMPRESSED} is there; remap image to {base}, {how}."
+        if _type_name(CompressedImage) in self._offered(base):
+            how = "" if self._kind is CompressedImage else "set image_transport:=compressed and "
+            return f"{base} carries compressed images itself; {how}remap image{COMPRESSED} to {base}."
         if offered:
             return (
                 f"{topic} carries {', '.join(sorted(offered))}, not {wanted}; remap image to another topic."
@@ -147,7 +151,7 @@ class ImageSubscription:
                 self._node.destroy_subscription(self._subscriptions.pop(old))
             if message.header.stamp == self._last_stamp:
                 return  # the old one has received it, too
-        self._last_stamp = message.header.stamp
+        self._last_stamp, self._lost_before = message.header.stamp, self.lost
         self._take(message)
 
     def _count_lost(self, event: Any) -> None:

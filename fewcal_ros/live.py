@@ -26,7 +26,7 @@ from fewcal.session import Session
 from fewcal.views import View
 
 from .mailbox import Letter, Mailbox
-from .messages import Frame
+from .messages import OTHER_CAMERA, Frame
 from .parameters import Parameters
 from .stream import ImageStream
 
@@ -254,13 +254,12 @@ class LiveCalibration:
     def configure(self, parameters: Parameters) -> None:
         """Take over changed parameters; a calibration made by others than these is forgotten."""
         before, self._parameters = self._parameters, parameters
-        wanted = (
-            parameters.views_required,
-            parameters.method,
-            parameters.thresholds,
-            parameters.criteria,
+        wanted, had = (
+            (each.views_required, each.method, each.thresholds, each.criteria)
+            for each in (parameters, before)
         )
-        self._change(lambda session: session.configure(*wanted))
+        if wanted != had:  # else an image that is being looked at is for the same session
+            self._change(lambda session: session.configure(*wanted))
         if (before.method, before.thresholds) != (parameters.method, parameters.thresholds):
             self._result, self._attempted = None, ()
 
@@ -353,8 +352,8 @@ class LiveCalibration:
         """What the session says to a frame; a view that it keeps is kept."""
         before = self._session
         if other := self._other_camera(frame.frame_id, before):
-            before.frames.turn_away("other camera")
-            return Decision(False, "other camera", other), before
+            before.frames.turn_away(OTHER_CAMERA)
+            return Decision(False, OTHER_CAMERA, other), before
         session = copy.copy(before)
         arguments = frame.image, frame.stamp_ns, frame.source
         by_itself = self._parameters.auto_capture and not self._satisfied(session)

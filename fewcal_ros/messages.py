@@ -43,6 +43,10 @@ class Frame:
     source: str
 
 
+OTHER_CAMERA = "other camera"
+"""Why a frame is turned away whose frame_id is not that of the views."""
+
+
 @dataclass(frozen=True)
 class _Layout:
     """How an encoding lays out a pixel: bits and number of its samples, and how they become grey.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -17,10 +17,12 @@ from fewcal.session import Session
 from fewcal.verdict import Thresholds, Verdict
 from fewcal.views import View
 
-from .messages import Frame
+from .messages import OTHER_CAMERA, Frame
 
 PAIR = 2
 """Views that make a camera; with fewer of a board held still, those of one in motion are taken as well."""
+_Kind = tuple[tuple[int, int], str]
+"""Size in pixels and frame_id of an image: one camera in one mode."""
 
 
 @dataclass(frozen=True)
@@ -105,16 +107,37 @@ def _first(frames: Iterable[Frame], settings: Settings, count: int, fates: _Fate
         priors=settings.priors,
         thresholds=settings.thresholds,
     )
+    frame_id, others = "", Counter[str]()
     for frame in frames:
+        if frame_id and frame.frame_id not in ("", frame_id):
+            session.frames.turn_away(OTHER_CAMERA)
+            others[frame.frame_id] += 1
+            continue
         decision = session.add(frame.image, frame.stamp_ns, frame.source)
         fates.note(decision.reason, decision.message)
-        if decision.kept and _satisfied(session):
-            break
+        if decision.kept:
+            frame_id = frame_id or frame.frame_id
+            if _satisfied(session):
+                break
     if not session.views:
         raise fates.no_view(settings.board)
     rejected = session.frames.rejected.copy()
     rejected["replaced"] = session.frames.read - rejected.total() - len(session.views)
-    return Outcome(session.calibrate(), session.frames.read, session.frames.with_board, +rejected)
+    calibration = _beside_others(session.calibrate(), frame_id, others)
+    return Outcome(calibration, session.frames.read, session.frames.with_board, +rejected)
+
+
+def _beside_others(calibration: Calibration, frame_id: str, others: Counter[str]) -> Calibration:
+    """Say how many images have another frame_id than the views, of other cameras on the same topic."""
+    if not others:
+        return calibration
+    names, count = " and ".join(map(repr, sorted(others))), others.total()
+    were = "images were" if count > 1 else "image was"
+    return _with_remark(
+        calibration,
+        f"{count} {were} left out, in frame {names}, since the views are in {frame_id!r}: record each camera "
+        "on a topic of its own.",
+    )
 
 
 def _satisfied(session: Session) -> bool:
@@ -130,29 +153,35 @@ def _satisfied(session: Session) -> bool:
 
 def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome:
     """Find every good view, then keep the subset that leaves the least uncertainty."""
-    look = FrameFilter(settings.board)
-    good: dict[tuple[int, int], list[View]] = {}
-    moving: dict[tuple[int, int], list[View]] = {}
+    # Of each camera on the topic, so that motion is that between images of one.
+    looks = defaultdict[str, FrameFilter](lambda: FrameFilter(settings.board))
+    good: dict[_Kind, list[View]] = {}
+    moving: dict[_Kind, list[View]] = {}
+    frame_id = ""
     for frame in frames:
-        decision = look.look(frame.image, frame.stamp_ns, frame.source)
+        frame_id = frame.frame_id or frame_id  # without one it may be of any camera
+        kind = size_of(frame.image), frame_id
+        decision = looks[frame_id].look(frame.image, frame.stamp_ns, frame.source)
         fates.note(decision.reason, decision.message)
         if decision.kept and decision.detection is not None:
-            good.setdefault(size_of(frame.image), []).append(decision.detection.view)
+            good.setdefault(kind, []).append(decision.detection.view)
         elif decision.reason == "moving" and decision.detection is not None:
-            moving.setdefault(size_of(frame.image), []).append(decision.detection.view)
-    rejected = look.rejected.copy()
+            moving.setdefault(kind, []).append(decision.detection.view)
+    rejected = sum((look.rejected for look in looks.values()), Counter[str]())
     if max(map(len, good.values()), default=0) < min(settings.views or 1, PAIR) and moving:
         # A board that is never held still, but sharp all the same, is better than no answer. The first frame
         # has none before it, and counts as still whether it is or not.
-        for size, views in moving.items():
-            good.setdefault(size, []).extend(views)
+        for kind, views in moving.items():
+            good.setdefault(kind, []).extend(views)
         rejected["moving"] = 0
     if not good:
         raise fates.no_view(settings.board)
     # Images of another size are another camera, or the same one in another mode: the larger group counts.
-    size = max(good, key=lambda size: len(good[size]))
-    views = good.pop(size)
-    rejected["other size"] = sum(map(len, good.values()))
+    size, frame_id = kind = max(good, key=lambda kind: len(good[kind]))
+    views = good.pop(kind)
+    others = Counter({name: len(left) for (other, name), left in good.items() if other == size})
+    rejected[OTHER_CAMERA] = others.total()
+    rejected["other size"] = sum(map(len, good.values())) - others.total()
     chosen, together = views, None
     if settings.views is not None and len(views) > settings.views:
         chosen, together = _choose(views, size, settings, settings.views)
@@ -163,13 +192,17 @@ def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome
         together = calibrate(together.views, size, "map", priors, settings.thresholds)
     if together is not None and (contradiction := _contradiction(calibration, together, settings.thresholds)):
         calibration = _with_remark(calibration, contradiction, usable=False)
-    if in_motion := sum(view in moving.get(size, []) for view in chosen):
+    calibration = _beside_others(calibration, frame_id, others)
+    if in_motion := sum(view in moving.get(kind, []) for view in chosen):
         calibration = _with_remark(
             calibration,
             f"{in_motion} of the {len(chosen)} views are of a board in motion, which a rolling shutter "
             "distorts; hold it still for half a second at each pose.",
         )
-    return Outcome(calibration, look.read, look.with_board, +rejected)
+    read, with_board = (
+        sum(counts) for counts in zip(*((x.read, x.with_board) for x in looks.values()), strict=True)
+    )
+    return Outcome(calibration, read, with_board, +rejected)
 
 
 def _choose(

@@ -286,10 +286,14 @@ def _publishers(
     reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
     qos = QoSProfile(depth=_QUEUE, reliability=reliability, durability=DurabilityPolicy.VOLATILE)
     publishers: dict[tuple[str, str], Publisher] = {}
+    types: dict[str, str] = {}
     for topic, name in names.items():
         msg_type = _installed(topic.type)
         if msg_type is None:
             tell(f"{topic.name} is left out, since its type {topic.type} is not installed here.")
+            continue
+        if types.setdefault(name.lstrip("/"), topic.type) != topic.type:
+            tell(f"{topic.name} of type {topic.type} is left out, since {name} has another type already.")
             continue
         try:
             publishers[topic.name, topic.type] = node.create_publisher(msg_type, name, qos)

@@ -187,6 +187,30 @@ class TestByServices:
         bench.frame_id = ""
         assert bench.capture(second).get(timeout=TIMEOUT_S).kept
 
+    def test_images_of_another_camera_are_a_warning(self, bench):
+        bench.frame_id = "left"
+        for image in pair():
+            assert bench.capture(image).get(timeout=TIMEOUT_S).kept
+        bench.live.calibrate()
+        assert judge_health(bench.live.status())[0] is Level.OK
+        bench.frame_id = "right"
+        bench.show(flat())
+        level, sentence = judge_health(bench.live.status())
+        assert level is Level.WARN
+        assert sentence.startswith("The image is in frame 'right', the views are in 'left'")
+
+    def test_parameters_that_do_not_concern_the_views_disturb_no_capture(self, bench):
+        bench.gate.clear()
+        answers = bench.capture(None)
+        bench.offer(pair()[0])
+        before = bench.live._session
+        bench.live.configure(bench.live.status().parameters.changed({"output_path": "/tmp/other.yaml"}))
+        assert bench.live._session is before
+        bench.live.configure(bench.live.status().parameters.changed({"views_required": 5}))
+        assert bench.live._session is not before
+        bench.gate.set()
+        assert answers.get(timeout=TIMEOUT_S)
+
     def test_motion_is_that_since_an_image_that_passed_by(self, bench):
         bench.offer(shown(30.0), shown(30.0, shift_px=6.0), apart_ns=PERIOD_NS)
         for _ in range(2):

@@ -410,9 +410,11 @@ class TestByServices:
             camera.tell(answer=kind)
             answer = cell.client.call("commit")
             assert (answer.success, answer.message) == (success, sentence)
-        cell.client.send("commit")
+        hanging = cell.client.send("commit")
         assert cell.client.call("save").success
         assert_ends_well(node, signal.SIGINT)
+        wait_until(hanging.done, "an answer")
+        assert hanging.result().message == "The node is ending."
 
 
 class TestParameters:
@@ -551,7 +553,25 @@ class TestState:
         said = lambda: cell.client.values().get("message", "")  # noqa: E731
         wait_until(lambda: f"remap image to /cam/image_raw, {how}." in said(), "advice")
 
-    def test_images_that_were_lost_once_do_not_explain_a_missing_driver(self, cell):
+    @pytest.mark.parametrize("image_transport", ["raw", "compressed"])
+    def test_a_topic_of_compressed_images_by_itself_is_named(self, cell, image_transport):
+        driver = cell.client.node.create_publisher(CompressedImage, "/jpeg", 1)
+        node = cell.start_node("-r", "image:=/jpeg", image_transport=image_transport)
+        how = "set image_transport:=compressed and " * (image_transport == "raw")
+        said = lambda: cell.client.values().get("message", "")  # noqa: E731
+        advice = f"/jpeg carries compressed images itself; {how}remap image/compressed to /jpeg."
+        wait_until(lambda: advice in said(), "advice")
+        assert_ends_well(node, signal.SIGINT)
+        cell.start_node("-r", "image/compressed:=/jpeg", image_transport="compressed")
+        _, jpeg = cv2.imencode(".jpg", np.zeros((48, 64), np.uint8))
+
+        def arrived() -> bool:
+            driver.publish(CompressedImage(format="jpeg", data=jpeg.tobytes()))
+            return cell.client.values().get("images looked at", "0") != "0"
+
+        wait_until(arrived, "an image")
+
+    def test_images_that_were_lost_once_explain_neither_a_pause_nor_a_missing_driver(self, cell):
         cell.start_node()
         camera = cell.start_camera(reliable=False)
         camera.tell(blank=[2560, 1920, "bgr8", "a"])
@@ -559,8 +579,12 @@ class TestState:
         while cell.client.values().get("images lost", "0") == "0":
             if time.monotonic() > deadline:
                 pytest.skip("the middleware loses no image here")
-        camera.close()
+        camera.tell(blank=[64, 48, "mono8", "a"])
+        wait_until(lambda: "64x48" in cell.client.values()["input"], "a small image")
+        camera.tell(hold=None)
         said = lambda: cell.client.values()["message"]  # noqa: E731
+        wait_until(lambda: "/image is published, but nothing arrives" in said(), "a pause")
+        camera.close()
         wait_until(lambda: "Nobody publishes /image" in said(), "a missing driver")
 
     def test_images_that_are_damaged_are_told_of_once(self, cell):

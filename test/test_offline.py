@@ -196,6 +196,36 @@ def test_the_size_with_most_good_views_counts() -> None:
 
 
 @pytest.mark.parametrize("select", ["best", "first"])
+def test_images_of_another_camera_on_the_topic_are_left_out(select: str) -> None:
+    """As the node does; one camera moves while the board before the other is held still."""
+    still, last = pair()
+    images = [still, shown(60.0), still, shown(60.0, shift_px=6.0), last, shown(60.0, shift_px=12.0), last]
+    both = [
+        replace(frame, frame_id=("left", "right")[i % 2])
+        for i, frame in enumerate(frames_of(images, PERIOD_NS))
+    ]
+    alone, mixed = (calibrate_frames(frames, Settings(BOARD, select=select)) for frames in (both[::2], both))
+    assert used(mixed) == used(alone) == [0, 6]
+    assert mixed.calibration.camera.fx == alone.calibration.camera.fx
+    assert mixed.read == len(mixed.calibration.views) + mixed.rejected.total()
+    # The other camera's board moves, so that one of its images alone would do; "first" looks at none of them.
+    assert mixed.rejected["other camera"] == (3 if select == "first" else 1)
+    (reason,) = mixed.calibration.verdict.reasons
+    assert "left out, in frame 'right', since the views are in 'left': record each camera on a" in reason
+    assert mixed.calibration.verdict.usable
+    assert alone.calibration.verdict.reasons == ()
+
+
+@pytest.mark.parametrize("select", ["best", "first"])
+def test_an_image_without_a_frame_id_may_be_of_any_camera(select: str) -> None:
+    frames = frames_of([flat(), *pair()])
+    frames[1] = replace(frames[1], frame_id="")
+    outcome = calibrate_frames(frames, Settings(BOARD, views=3, select=select))
+    assert used(outcome) == [0, 1, 2]
+    assert outcome.calibration.verdict.reasons == ()
+
+
+@pytest.mark.parametrize("select", ["best", "first"])
 def test_no_view_names_the_commonest_telling_reason(select: str) -> None:
     board = Chessboard(9, 6, 0.025)
     settings = Settings(Chessboard(10, 7, 0.025), select=select)

@@ -285,6 +285,16 @@ def test_what_is_not_installed_or_damaged_is_left_out_and_told(tmp_path: Path, l
 
 
 @needs_ros
+def test_a_topic_has_one_type(tmp_path: Path, listener: Listener) -> None:
+    bag = write_mcap(tmp_path, [image(0), text(1), image(2)])
+    listener.subscribe("/both", Image)
+    done = played(bag, "--topic", f"{TOPIC}:=/both", "--topic", "/chatter:=both")
+    assert (done.returncode, done.stdout) == (0, "2 messages published.\n"), done.stderr
+    assert "/chatter of type std_msgs/msg/String is left out, since both has another type" in done.stderr
+    eventually(lambda: len(listener.messages("/both")) == 2)
+
+
+@needs_ros
 def test_a_recording_that_is_cut_off_is_played_as_far_as_it_goes(tmp_path: Path, listener: Listener) -> None:
     bag = FORMATS["mcap zstd"](tmp_path, [image(i) for i in range(IMAGES)])
     bag.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])

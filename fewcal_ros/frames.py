@@ -14,7 +14,7 @@ from .encoded import decode_grey
 from .errors import RecordingError
 from .messages import IMAGE_TYPES, Frame, stamp_ns
 from .recordings import Recording, Source, merge_topics, open_source, readable
-from .storage import RawMessage, Topic, plain_cdr
+from .storage import RawMessage, Topic, in_time_order, plain_cdr
 
 # The image types have had the same fields in every distribution, so one of each kind serves for all.
 _ROS2 = get_typestore(Stores.ROS2_HUMBLE)
@@ -155,7 +155,7 @@ def _images(paths: Iterable[Path]) -> Iterator[Frame | FewcalError]:
 
 
 def _recorded(recording: Recording, topic: str) -> Iterator[Frame | FewcalError]:
-    for raw in recording.messages(topic):
+    for raw in in_time_order(recording.messages(topic)):  # motion is that since the image before
         if raw.type in IMAGE_TYPES:
             try:
                 yield _frame(raw, f"{recording.path.name}:{topic}")

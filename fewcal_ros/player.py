@@ -6,12 +6,11 @@ those of ROS 1 are converted. Header stamps are therefore those of the recording
 
 from __future__ import annotations
 
-import heapq
 import importlib
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
@@ -32,7 +31,7 @@ from rosbags.typesys import Stores, get_typestore
 from .errors import RecordingError, RosError
 from .recordings import Recording, merge_topics, open_source
 from .signals import Wait, until_signal
-from .storage import RawMessage, Topic, plain_cdr
+from .storage import RawMessage, Topic, in_time_order, plain_cdr
 
 _ROS2 = get_typestore(Stores.ROS2_JAZZY)
 
@@ -50,9 +49,6 @@ _QUEUE = 30
 
 _LAST_ACK_S = 1.0
 """Wait at the end for subscribers to acknowledge the last messages."""
-
-_LOOK_AHEAD_BYTES = 16_000_000
-"""As much is read ahead to bring messages into the order of their times: several chunks of any writer."""
 
 _NOTABLE_S = 0.1
 """Messages that are later than this are worth telling."""
@@ -130,23 +126,6 @@ def choose_topics(topics: Sequence[Topic], wanted: Sequence[str]) -> dict[Topic,
     named = {recorded: targets.get(name, recorded) for name, recorded in there.items()}
     mentioned = {there[name] for name in targets}
     return {topic: named[topic.name] for topic in topics if not only or topic.name in mentioned}
-
-
-def in_time_order(
-    messages: Iterable[RawMessage], look_ahead_bytes: int = _LOOK_AHEAD_BYTES
-) -> Iterator[RawMessage]:
-    """Messages by time of recording; one that lies further behind in the file comes as early as it can."""
-    heap: list[tuple[int, int, RawMessage]] = []
-    held = 0
-    for number, raw in enumerate(messages):
-        heapq.heappush(heap, (raw.log_time_ns, number, raw))
-        held += len(raw.data)
-        while held > look_ahead_bytes:
-            earliest = heapq.heappop(heap)[-1]
-            held -= len(earliest.data)
-            yield earliest
-    while heap:
-        yield heapq.heappop(heap)[-1]
 
 
 class _Player:

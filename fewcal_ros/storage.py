@@ -8,7 +8,8 @@ from the front, keeps what is whole, notes what is not, and uses the index only 
 from __future__ import annotations
 
 import bz2
-from collections.abc import Callable, Iterator
+import heapq
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,8 @@ import zstandard
 T = TypeVar("T")
 
 _BLOCK_BYTES = 1 << 20
+_LOOK_AHEAD_BYTES = 16_000_000
+"""As much is read ahead to bring messages into the order of their times: several chunks of any writer."""
 
 
 @dataclass(frozen=True, order=True)
@@ -39,6 +42,23 @@ class RawMessage(NamedTuple):
     type: str
     is_ros1: bool
     data: bytes
+
+
+def in_time_order(
+    messages: Iterable[RawMessage], look_ahead_bytes: int = _LOOK_AHEAD_BYTES
+) -> Iterator[RawMessage]:
+    """Messages by time of recording; one that lies further behind in the file comes as early as it can."""
+    heap: list[tuple[int, int, RawMessage]] = []
+    held = 0
+    for number, raw in enumerate(messages):
+        heapq.heappush(heap, (raw.log_time_ns, number, raw))
+        held += len(raw.data)
+        while held > look_ahead_bytes:
+            earliest = heapq.heappop(heap)[-1]
+            held -= len(earliest.data)
+            yield earliest
+    while heap:
+        yield heapq.heappop(heap)[-1]
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,12 @@ def numbers(frames: Sequence[Frame]) -> list[int]:
     return found
 
 
+@pytest.mark.parametrize("write", [write_mcap, write_rosbag1, write_rosbag2])
+def test_frames_come_in_the_order_of_their_times(write, tmp_path: Path) -> None:
+    frames, _ = read(write(tmp_path, [image(index ^ 3) for index in range(COUNT)]))
+    assert numbers(frames) == list(range(COUNT))
+
+
 @pytest.mark.parametrize("kind", FORMATS)
 def test_every_format_gives_every_frame(kind: str, tmp_path: Path) -> None:
     frames, reader = read(FORMATS[kind](tmp_path, MIXED))
@@ -82,7 +88,9 @@ def test_reading_again_starts_again(tmp_path: Path) -> None:
 
 
 def test_no_file_stays_open_when_left_early(tmp_path: Path) -> None:
-    bag = write_rosbag1(tmp_path, MIXED)
+    # More than is read ahead.
+    fields = (1000, 1000, "mono8", 0, 1000, np.zeros(1_000_000, np.uint8))
+    bag = write_rosbag1(tmp_path, [Sample("/camera", START_NS + i, IMAGE, fields) for i in range(20)])
     with open_frames([bag]) as reader:
         frames = iter(reader)
         next(frames)

@@ -37,7 +37,7 @@ from write_recordings import (
 
 from fewcal_ros.cli import main
 from fewcal_ros.errors import RecordingError
-from fewcal_ros.storage import RawMessage, Topic
+from fewcal_ros.storage import Topic
 
 COMMAND = [sys.executable, "-m", "fewcal_ros.cli", "play"]
 TOPIC = "/camera/image_raw"
@@ -419,21 +419,6 @@ def test_names_by_themselves_choose_and_renaming_does_not() -> None:
         assert list(player.choose_topics(topics, wanted).values()) == names
     with pytest.raises(RecordingError, match="no topic /d"):
         player.choose_topics(topics, ["/a", "/d"])
-
-
-@needs_ros
-def test_messages_are_ordered_without_reading_far_ahead() -> None:
-    taken: list[int] = []
-
-    def messages() -> Iterator[RawMessage]:
-        for index in range(1000):
-            taken.append(index)
-            yield RawMessage("/a", index ^ 3, IMAGE, False, bytes(100))  # runs of four, backwards
-
-    ordered = player.in_time_order(messages(), look_ahead_bytes=1000)
-    assert [next(ordered).log_time_ns for _ in range(100)] == list(range(100))
-    assert len(taken) < 120
-    assert len(list(ordered)) == 900
 
 
 @needs_ros

@@ -199,9 +199,8 @@ def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome
             f"{in_motion} of the {len(chosen)} views are of a board in motion, which a rolling shutter "
             "distorts; hold it still for half a second at each pose.",
         )
-    read, with_board = (
-        sum(counts) for counts in zip(*((x.read, x.with_board) for x in looks.values()), strict=True)
-    )
+    read = sum(look.read for look in looks.values())
+    with_board = sum(look.with_board for look in looks.values())
     return Outcome(calibration, read, with_board, +rejected)
 
 

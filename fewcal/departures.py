@@ -9,6 +9,7 @@ the camera, with priors of what real boards and lenses do (`Priors.board_bend`, 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -117,14 +118,21 @@ def _undistorted(r: Array, radial: Array) -> Array:
     a1, a2 = radial.tolist()
     if a1 == a2 == 0:
         return r
-    u = r
+    u, highest = r, np.minimum(2 * r, _fold(a1, a2))
     for _ in range(_NEWTON_STEPS):
         u2 = u * u
         off = u * (1 + u2 * (a1 + a2 * u2)) - r
         if np.abs(off).max(initial=0.0) < _UNDISTORTED:
             return u
-        u = np.clip(u - off / np.maximum(1 + u2 * (3 * a1 + 5 * a2 * u2), _LEAST_SLOPE), 0, 2 * r)
+        u = np.clip(u - off / np.maximum(1 + u2 * (3 * a1 + 5 * a2 * u2), _LEAST_SLOPE), 0, highest)
     return np.where(np.abs(off) < _UNDISTORTED, u, r)
+
+
+def _fold(a1: float, a2: float) -> float:
+    """Radius at which r (1 + a1 r^2 + a2 r^4) turns back; beyond, where it may rise again, is no lens."""
+    inside = 9 * a1 * a1 - 20 * a2
+    below = math.sqrt(inside) - 3 * a1 if inside >= 0 else 0.0
+    return math.sqrt(2 / below) if below > 0 else math.inf
 
 
 def _taken_over(image_size: tuple[int, int], centre: Array, radial: Array) -> Array:

@@ -159,6 +159,8 @@ def test_a_radius_without_the_distortion_is_that_of_the_model(radial: tuple[floa
     np.testing.assert_allclose(_undistorted(seen, np.array(radial)), straight, atol=1e-8)
     # Beyond the fold there is none.
     assert _undistorted(np.array([0.9]), np.array([-0.9, 0.0])) == 0.9
+    # Nor where the model rises again, behind it.
+    assert _undistorted(np.array([1.21]), np.array([-0.518, 0.074])) == 1.21
 
 
 @pytest.mark.parametrize("k3", [-0.01, 0.02])

@@ -259,6 +259,41 @@ class TestByItself:
         wait_until(lambda: right <= heard(), "camera_info")
         assert heard() == right
 
+    def test_camera_info_is_for_images_of_the_frame_of_the_views_and_names_the_one_asked_for(self, cell):
+        cell.start_node(image_transport="compressed", publish_camera_info=True)
+        client, stamp = cell.client, 0
+        latched, infos = client.camera_info(), client.listen(CameraInfo, "/camera_info")
+        camera = client.node.create_publisher(CompressedImage, "/image/compressed", 10)
+        with open_frames([BAGS / "wrist.bag"]) as frames:
+            pictures = [cv2.imencode(".jpg", frame.image)[1].tobytes() for frame in frames]
+
+        def publish(index, frame_id):
+            nonlocal stamp
+            stamp += 1
+            message = CompressedImage(format="jpeg", data=pictures[index])
+            message.header.stamp.sec, message.header.frame_id = stamp, frame_id
+            camera.publish(message)
+            time.sleep(0.05)
+
+        def seen(index, frame_id, **expected):
+            publish(index, frame_id)
+            return expected.items() <= client.values().items()
+
+        wait_until(lambda: seen(STILL[3], "left", views="1"), "a view")
+        wait_until(lambda: seen(STILL[6], "left", level="OK"), "a camera")
+        wait_until(lambda: publish(STILL[6], "left") or infos, "camera_info")
+        wait_until(lambda: seen(STILL[6], "right", level="WARN"), "another camera")
+        first = stamp + 1
+        for _ in range(5):
+            publish(STILL[6], "right")
+        assert client.set(frame_id="optical").successful
+        wait_until(lambda: publish(STILL[6], "left") or infos[-1].header.frame_id == "optical", "the name")
+        assert {info.header.frame_id for info in infos} == {"left", "optical"}
+        assert not [info for info in infos if first <= info.header.stamp.sec < first + 5]
+        assert latched[-1].header.frame_id == "left"
+        assert client.call("calibrate").success
+        wait_until(lambda: latched[-1].header.frame_id == "optical", "the name of the next calibration")
+
     def test_what_is_not_usable_is_not_given_away_unless_asked(self, cell):
         cell.start_node(
             views_required=1,

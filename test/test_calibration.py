@@ -15,7 +15,7 @@ from fewcal.calibration import METHODS, Calibration, calibrate
 from fewcal.camera import Camera, project_pixel_model_jacobians
 from fewcal.constraints import Normal, Priors
 from fewcal.departures import axial_remainder, lens_remainder, radial_terms
-from fewcal.errors import InvalidInput
+from fewcal.errors import DegenerateViews, InvalidInput
 from fewcal.posterior import NAMES
 from fewcal.verdict import Thresholds
 from fewcal.views import View
@@ -555,3 +555,24 @@ def test_pixels_of_a_wrong_shape() -> None:
     for pixels in ([0.0, 0.0], [[0.0, 0.0, 1.0]]):
         with pytest.raises(InvalidInput, match=r"pixels must have shape \(N, 2\)"):
             sound().projection_std(pixels)
+
+
+def test_points_that_lie_too_close_are_named() -> None:
+    (seen,) = views_at((40, 30))
+    middle = seen.image_points.mean(axis=0)
+    speck = View(seen.object_points, middle + 1e-9 * (seen.image_points - middle))
+    with pytest.raises(DegenerateViews, match="so close together that rounding hides how"):
+        calibrate([speck], SIZE)
+
+
+def test_one_parallel_view_does_not_excuse_a_false_focal_length() -> None:
+    seen = noisy(views_at((40, 30), (1, 0)), 0.2, 1)
+    assert "focal length" in calibrate(seen, SIZE, priors=Priors(focal_px=(1150.0, 1.0))).prior_conflicts
+
+
+def test_a_result_cannot_be_changed() -> None:
+    found = sound()
+    assert found.covariance is not None
+    for array in (*found.board_poses, found.view_rms, found.departures, found.covariance, found.tilts_deg):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1

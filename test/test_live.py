@@ -415,3 +415,150 @@ def test_images_of_another_size_are_a_warning(bench):
     level, sentence = judge_health(bench.live.status())
     assert level is Level.WARN
     assert sentence.startswith("The images are 640x460 now and the views 640x480; go back")
+
+
+services = pytest.mark.parametrize("bench", [{"auto_capture": False}], indirect=True)
+by_itself = pytest.mark.parametrize("bench", [{"views_required": 1}], indirect=True)
+
+
+@by_itself
+def test_thresholds_changed_during_a_calibration_count(bench):
+    calibrate, strict = Session.calibrate, bench.live.status().parameters.changed({"max_focal_std": 1e-6})
+
+    def meanwhile(session):
+        bench.live.configure(strict)
+        return calibrate(session)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Session, "calibrate", meanwhile)
+        assert bench.show(pair()[0])[0].result is None
+    assert bench.live.result is None
+    (look,) = bench.show(pair()[0])
+    assert look.result is not None
+    assert not look.result.calibration.verdict.usable
+
+
+@services
+def test_a_view_kept_during_a_change_is_not_lost(bench):
+    configure, images = Session.configure, [flat()]
+
+    def meanwhile(session, *arguments):
+        while images:
+            assert bench.capture(images.pop()).get(timeout=TIMEOUT_S).kept
+        configure(session, *arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Session, "configure", meanwhile)
+        bench.live.configure(bench.live.status().parameters.changed({"views_required": 3}))
+    assert len(bench.live.status().views) == 1
+
+
+@services
+def test_a_capture_wins_over_a_calibration_that_is_under_way(bench):
+    assert bench.capture(pair()[0]).get(timeout=TIMEOUT_S).kept
+    calibrate = Session.calibrate
+
+    def meanwhile(session):
+        result = calibrate(session)
+        assert bench.capture(pair()[1]).get(timeout=TIMEOUT_S).kept
+        return result
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Session, "calibrate", meanwhile)
+        with pytest.raises(Refused, match="changed during the calibration"):
+            bench.live.calibrate()
+    assert bench.live.result is None
+
+
+@services
+def test_as_many_other_views_are_other_views(bench):
+    for image in pair():
+        assert bench.capture(image).get(timeout=TIMEOUT_S).kept
+    assert bench.live.calibrate() is bench.live.current()
+    bench.live.remove_last()
+    assert bench.capture(shown(50.0, 45.0)).get(timeout=TIMEOUT_S).kept
+    with pytest.raises(Refused, match="changed since"):
+        bench.live.current()
+    assert judge_health(bench.live.status())[1].startswith("The views have changed since the calibration")
+
+
+@by_itself
+def test_a_defect_after_a_capture_was_answered_does_not_end_the_worker(bench, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr(Session, "calibrate", lambda session: 1 / 0)
+        assert bench.capture(pair()[0]).get(timeout=TIMEOUT_S).kept
+    bench.show(empty())
+
+
+@pytest.mark.parametrize("bench", [{"views_required": 1, "method": "zhang"}], indirect=True)
+def test_a_calibration_by_itself_that_fails_is_no_defect(bench):
+    (look,) = bench.show(pair()[0])
+    assert look.decision.kept
+    assert look.problem
+    assert "please report this" not in look.problem
+
+
+@by_itself
+def test_a_reset_during_a_calibration_by_itself_is_no_problem(bench, monkeypatch):
+    calibrate = Session.calibrate
+
+    def meanwhile(session):
+        bench.live.reset()
+        return calibrate(session)
+
+    monkeypatch.setattr(Session, "calibrate", meanwhile)
+    (look,) = bench.show(pair()[0])
+    assert (look.decision.kept, look.result, look.problem) == (True, None, "")
+
+
+def test_a_camera_of_other_views_completes_nothing(bench, monkeypatch):
+    bench.show(*pair())
+    assert bench.live.status().complete
+    bench.live.remove_last()
+
+    def fail(session):
+        raise FewcalError("No camera.")
+
+    monkeypatch.setattr(Session, "calibrate", fail)
+    (look,) = bench.show(shown(50.0, 45.0))
+    assert (look.decision.kept, look.problem) == (True, "No camera.")
+    assert not bench.live.status().complete
+
+
+@services
+def test_nothing_to_calibrate_from_is_no_error(bench):
+    bench.show(empty())
+    with pytest.raises(FewcalError, match="No view has been kept"):
+        bench.live.calibrate()
+    assert judge_health(bench.live.status())[0] is Level.WARN
+
+
+@services
+def test_no_capture_beyond_the_end(bench):
+    bench.live.close()
+    with pytest.raises(Refused, match="The node is ending"):
+        bench.live.capture(0.01)
+
+
+def test_why_no_image_has_arrived_is_said_from_the_start(bench):
+    assert judge_health(bench.live.status()) == (Level.WARN, "No image has arrived yet. Nobody is there.")
+
+
+@services
+def test_somebody_who_watches_sees_every_image_looked_at(bench):
+    bench.live._watched = lambda: True
+    assert all(look.decision for look in bench.show(*[empty()] * 5))
+
+
+@services
+def test_a_glance_is_one_now_and_then(bench, monkeypatch):
+    monkeypatch.setattr(fewcal_ros.live, "GLANCE_PERIOD_S", 600.0)
+    bench.live._last_glance = -1e9
+    assert [look.decision is not None for look in bench.show(*[empty()] * 3)] == [True, False, False]
+
+
+@services
+def test_enough_views_are_complete_before_anything_is_calibrated(bench):
+    for image in pair():
+        assert bench.capture(image).get(timeout=TIMEOUT_S).kept
+    assert bench.live.status().complete

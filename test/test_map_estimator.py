@@ -13,7 +13,7 @@ from fewcal.camera import Camera
 from fewcal.constraints import Priors
 from fewcal.elimination import eliminate
 from fewcal.least_squares import Stop, minimise
-from fewcal.map_estimator import ENUMERATED_VIEWS, _arrangements, _lowest, _starts, estimate_map
+from fewcal.map_estimator import ENUMERATED_VIEWS, _arrangements, _doubtful, _lowest, _starts, estimate_map
 from fewcal.noise import Noise
 from fewcal.parametrisation import ScaleFree
 from fewcal.prior_rows import PriorRows
@@ -201,3 +201,16 @@ def test_the_lowest_of_each_kind_are_kept() -> None:
     values, kinds = np.array([3.0, 1.0, 2.0, 0.0]), np.array([0, 1, 0, 1])
     assert sorted(_lowest(values, kinds, 1).tolist()) == [2, 3]
     assert sorted(_lowest(values, kinds, 2).tolist()) == [0, 1, 2, 3]
+
+
+def test_a_minimum_is_doubtful_for_what_it_leaves_or_contradicts() -> None:
+    found = estimate_map(stack_views(noisy(views_at((40, 30), (35, 120)), 0.2, 1)), SIZE, Priors())
+    problem, lowest = found.adjustment, minimise(found.adjustment, found.geometry)
+    assert problem.noise is not None
+    scatter = float(problem.noise.scatter(lowest.equations.squares)[0])
+    assert not _doubtful(problem, lowest, scatter)
+    assert _doubtful(problem, lowest, scatter / 1.2)
+    theta = lowest.state.theta + 0.02 * (np.arange(12) == 8)
+    assert _doubtful(problem, replace(lowest, state=lowest.state._replace(theta=theta)), scatter)
+    small = lowest.equations._replace(groups=1e-3 * lowest.equations.groups)
+    assert not _doubtful(problem, replace(lowest, equations=small), 0.0)

@@ -13,11 +13,12 @@ from board_pictures import BOARD, CAMERA
 from scenes import SIZE, noisy, views_at
 
 from fewcal.boards import Chessboard
-from fewcal.calibration import calibrate
+from fewcal.calibration import Calibration, calibrate
 from fewcal.camera import Camera
 from fewcal.constraints import Priors
 from fewcal.errors import DegenerateViews
 from fewcal.selection import CANDIDATES
+from fewcal.session import Session
 from fewcal.verdict import Thresholds
 from fewcal_ros.messages import Frame
 from fewcal_ros.offline import Outcome, Settings, _contradiction, calibrate_frames
@@ -291,3 +292,36 @@ def test_the_first_views_are_sought_until_the_method_chosen_calls_its_camera_usa
         for method in ("map", "zhu2020")
     }
     assert read == {"map": 1, "zhu2020": 4}
+
+
+def test_zhang_chooses_among_more_views_than_asked_for() -> None:
+    outcome = calibrated([flat(), *pair(), shown(30.0, 70.0)], views=3, method="zhang")
+    assert len(outcome.calibration.views) == 3
+
+
+def test_blurred_views_are_no_substitute() -> None:
+    outcome = calibrated([pair()[0], *[shown(30.0, 100.0, blur_px=4.0, seed=i) for i in range(2)]])
+    assert used(outcome) == [0]
+    assert outcome.rejected == {"blurred": 2}
+
+
+def test_views_that_the_method_cannot_do_are_not_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    calibrate, failures = Session.calibrate, [DegenerateViews("No camera.")]
+
+    def at_first(session: Session) -> Calibration:
+        if failures:
+            raise failures.pop()
+        return calibrate(session)
+
+    monkeypatch.setattr(Session, "calibrate", at_first)
+    outcome = calibrated([*pair(), flat()], select="first")
+    assert (used(outcome), outcome.read) == ([0, 1], 3)
+
+
+def test_one_still_view_is_enough_where_all_are_asked_for() -> None:
+    assert used(calibrated([flat(), pair()[0]], PERIOD_NS, views=None)) == [0]
+
+
+def test_zhang_stops_when_it_has_enough() -> None:
+    images = [*pair(), shown(30.0), flat(), empty()]
+    assert calibrated(images, select="first", views=3, method="zhang").read == 3

@@ -253,3 +253,10 @@ def test_widened_t_priors_of_the_camera_are_those_of_a_larger_scale(factor: floa
     cameras = np.random.default_rng(3).normal(0, 0.05, (5, 12))
     expected = replace(own, **larger).rows((1280, 960)).squares(cameras)
     np.testing.assert_allclose(own.rows((1280, 960)).widened(factor).squares(cameras), expected, rtol=1e-12)
+
+
+def test_the_normal_prior_of_one_kind_of_lenses_is_that_kind() -> None:
+    theta = np.array([6.8, 0.004, 0.03, -0.02, -0.3, 0.2, 0.004, -0.001, 7e-4, -2e-4, 0.01, 3e-4])
+    tails = Priors(radial=LENSES[1:]).rows(SIZE).tails(theta)
+    assert tails.normal is not None
+    np.testing.assert_allclose(tails.normal, tails.by_unknowns, atol=1e-9)

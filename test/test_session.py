@@ -279,3 +279,23 @@ def test_a_view_that_is_kept_says_what_is_left_of_the_error() -> None:
     assert session.estimate is not None
     left = information(session.estimate).projection_std(np.array([[0, 1]]))[0]
     assert second.message == f"The expected projection error is {left:.2f} px now."
+
+
+def test_a_reset_forgets_the_estimate() -> None:
+    session, _ = session_of(*pair())
+    session.reset()
+    assert session.estimate is None
+
+
+def test_a_view_has_to_beat_the_second_look_that_would_tell_most() -> None:
+    session = Session(
+        BOARD, 3, thresholds=Thresholds(focal_std=1e-6), criteria=Criteria(max_error_ratio=0.97)
+    )
+    for image in (shown(20.0, 10.0), shown(40.0, 100.0)):
+        assert session.capture(image).kept
+    assert session.add(shown(35.0, 15.0)).reason == "nothing new"
+
+
+def test_only_a_camera_that_is_usable_already_waits_for_nothing() -> None:
+    _, decisions = session_of(flat(), shown(40.0, 10.0), criteria=Criteria(max_error_ratio=0.01))
+    assert [decision.reason for decision in decisions] == ["kept", "nothing new"]

@@ -120,10 +120,8 @@ def _open_storage(path: Path) -> Iterator[Storage]:
             damage = Damage()
             plain = Path(folder, path.stem)
             decompress_file(path, plain, damage)
-            if damage and not plain.stat().st_size:
-                raise RecordingError(
-                    f"{path} is damaged and cannot be read; copy it again or record it again."
-                )
+            if not plain.stat().st_size:
+                raise RecordingError(f"{path} is damaged, or empty inside; copy it again or record it again.")
             storage = _storage(plain, read_head(plain), path)
             storage.damage.cut_off |= damage.cut_off
             yield storage

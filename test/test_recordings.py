@@ -347,11 +347,13 @@ def test_a_file_of_several_zstd_frames_is_read_whole(tmp_path: Path, beginning: 
     assert surviving(compressed) == surviving(plain)
 
 
-def test_a_damaged_zstd_file_is_not_called_empty(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["overwritten", "cut off"])
+def test_a_damaged_zstd_file_is_not_called_empty(tmp_path: Path, how: str) -> None:
     compressed = tmp_path / "run.mcap.zstd"
     data = bytearray(zstandard.compress(write_mcap(tmp_path, MIXED).read_bytes()))
-    data[6:200] = bytes(194)
-    compressed.write_bytes(data)
+    if how == "overwritten":
+        data[6:200] = bytes(194)
+    compressed.write_bytes(data if how == "overwritten" else data[:10])
     with pytest.raises(RecordingError, match="is damaged"):
         open_frames([compressed])
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import sys
-import time
 import traceback
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -41,6 +39,7 @@ from .health import Level, focal_text, health_values, judge_health
 from .image_subscription import ImageSubscription
 from .live import LiveCalibration, Look, Refused, Result, Status, unexpected
 from .messages import Frame, compressed_size, compressed_to_grey, image_to_grey, raw_size, stamp_ns
+from .news import News
 from .outgoing import (
     camera_info_message,
     camera_info_of,
@@ -58,11 +57,6 @@ SWITCH_INTERVAL_S = 1e-3
 """After so long a thread that computes lets another one have the interpreter: an answer of a service changes
 threads several times, and would wait Python's usual 5 ms for each."""
 DIAGNOSTICS_PERIOD_S = 1.0
-REPEATED_S = 10.0
-"""The same sentence about the images is logged again after this long, seconds, and what is waited for no more
-often than this."""
-MANY_LOST = 30
-"""Images lost on the way, and more than arrived, that are worth a warning: a second of a usual camera."""
 USAGE = """usage: fewcal_node --ros-args -p board:=chessboard:9x6:0.025 -r image:=/camera/image_raw
 
 Calibrates the camera whose images arrive on the topic image. Parameters (-p NAME:=VALUE, --params-file FILE)
@@ -87,9 +81,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         super().__init__("fewcal")
         self._settings = declare_parameters(self)
         self._released: tuple[Result, CameraInfo] | None = None
-        self._told: dict[str, float] = {}
-        self._told_waiting = "", time.monotonic()
-        self._told_loss = False
+        self._news = News()
         raw = self._settings.image_transport == "raw"
         self._decode, self._size_of = (
             (image_to_grey, raw_size) if raw else (compressed_to_grey, compressed_size)
@@ -195,7 +187,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         """Tell the world what became of an image; called by the worker."""
         decision = look.decision
         kept = decision is not None and decision.kept
-        changed, failed = self._is_news(look.stream_change), self._is_news(look.problem)
+        changed, failed = self._news.is_new(look.stream_change), self._news.is_new(look.problem)
         if changed:
             self.get_logger().warning(look.stream_change)
         news = kept or look.result is not None or changed or failed
@@ -210,15 +202,6 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
             self._publish_diagnostics()
         if look.frame is not None and self._annotated.get_subscription_count():
             self._publish_annotated(look, look.frame)
-
-    def _is_news(self, sentence: str) -> bool:
-        """Whether a sentence is one that was not told a moment ago, whatever its numbers.
-
-        Images of two kinds may take turns, and no two that are damaged have the same length.
-        """
-        now, kind = time.monotonic(), re.sub(r"\d+", "0", sentence)
-        self._told = {told: when for told, when in self._told.items() if now - when < REPEATED_S}
-        return bool(sentence) and self._told.setdefault(kind, now) == now
 
     def _publish_annotated(self, look: Look, frame: Frame) -> None:
         status = self._live.status()
@@ -351,8 +334,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         self._images.adapt()
         status = self._live.status()
         lost, received = self._images.lost, status.received
-        if lost > max(received, MANY_LOST) and not self._told_loss:
-            self._told_loss = True
+        if self._news.is_loss(lost, received):
             self.get_logger().warning(
                 f"{lost} of {lost + received} images were lost on the way here: images of this size need a "
                 "driver that publishes reliably, or larger buffers of the middleware."
@@ -366,11 +348,7 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         # An image that cannot be used is told of when it comes.
         by_itself = status.parameters.auto_capture and status.result is None and level is Level.WARN
         reason = status.silence or (sentence if by_itself else "")
-        told, when = self._told_waiting
-        if not reason:
-            self._told_waiting = "", when
-        elif reason != told and time.monotonic() - when >= REPEATED_S:
-            self._told_waiting = reason, time.monotonic()
+        if self._news.is_awaited_anew(reason):
             if status.silence:  # one line for each, since rclpy binds a line of code to its severity
                 self.get_logger().warning(sentence)
             else:

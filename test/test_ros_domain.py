@@ -6,7 +6,7 @@ import pytest
 from ros_domain import is_quiet, own_domain
 
 pytest.importorskip("rclpy")
-from live_cell import robot_cell  # noqa: E402
+from live_cell import robot_cell
 
 
 def test_a_domain_is_one_that_nobody_takes_part_in(tmp_path: Path) -> None:

@@ -184,6 +184,16 @@ class Adjustment:
 
 
 @dataclass(frozen=True)
+class MapProblem(Adjustment):
+    """What :mod:`fewcal.map_estimator` finds; without departures as long as these are too small to matter."""
+
+    model: ScaleFree
+    constraint: PriorRows
+    noise: Noise
+    departures: Departures | None
+
+
+@dataclass(frozen=True)
 class Estimate:
     """The best minimum an estimator found.
 

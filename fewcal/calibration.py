@@ -116,7 +116,8 @@ class Calibration:
     @property
     def focal_std(self) -> float | None:
         """Relative one sigma of the focal length fx; None for zhang."""
-        return None if self.std is None else self.std["fx"] / self.camera.fx
+        std = self.std
+        return None if std is None else std["fx"] / self.camera.fx
 
     @cached_property
     def tilts_deg(self) -> Array:

@@ -43,6 +43,11 @@ class Copies(NamedTuple):
     times: NDArray[np.float64]
     original: NDArray[np.intp]
 
+    @property
+    def repeated(self) -> float:
+        """How much less all views together count than the sum of them, copies taken for one view."""
+        return repetition(float((1 / self.times).sum()))
+
 
 def copies(views: Sequence[View], image_size: tuple[int, int]) -> Copies:
     """Compare views with each other.

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .adjustment import Adjustment, Estimate, Geometry
+from .adjustment import Adjustment, Estimate, Geometry, MapProblem
 from .constraints import Normal, Priors
 from .copies import Copies, share_weight
 from .departures import Departures
@@ -22,7 +22,6 @@ from .elimination import eliminate
 from .least_squares import Minimum, NormalEquations, Stop, Tolerances, minimise, solve, take
 from .noise import COMPUTED_PX, Noise
 from .parametrisation import RADIAL, ScaleFree
-from .prior_rows import PriorRows
 from .starts import HOPELESS, contenders, starting_points, unprejudiced
 from .variational import middle
 from .views import ViewStack
@@ -107,13 +106,12 @@ def _estimate(
     """Find the best minimum for one camera model, or the one that a start leads to."""
     problem = _problem(views, model, priors)
     noise, starts = problem.noise, None
-    assert noise is not None
     if start is None:
         few, place = _few(problem, original, priors)
         starts = starting_points(few.views, model, priors)
         start = _repeated(contenders(few, starts, place), place)
     found = _descend(problem, start)
-    first, (scatter, objective) = found, _ahead(problem, noise, found)
+    first, (scatter, objective) = found, _ahead(problem, found)
     if objective < found.objective[0] - WORTHWHILE:
         trusting = minimise(problem.believing(noise.known(TRUSTING_PX)), found.state, _ROUND)
         scatter = float(noise.scatter(trusting.equations.squares)[0])
@@ -125,19 +123,19 @@ def _estimate(
     return _Found(estimate, float(found.objective[0]), scatter)
 
 
-def _problem(views: ViewStack, model: ScaleFree, priors: Priors) -> Adjustment:
+def _problem(views: ViewStack, model: ScaleFree, priors: Priors) -> MapProblem:
     departures = Departures.of(views.points, views.pixels, model.image_size, model.centre)
-    return Adjustment(views, model, priors.rows(model.image_size), Noise.of(views, priors), departures)
+    return MapProblem(views, model, priors.rows(model.image_size), Noise.of(views, priors), departures)
 
 
 def _few(
-    problem: Adjustment, original: NDArray[np.intp], priors: Priors
-) -> tuple[Adjustment, NDArray[np.intp]]:
+    problem: MapProblem, original: NDArray[np.intp], priors: Priors
+) -> tuple[MapProblem, NDArray[np.intp]]:
     """Leave copies out, which tell of the boards' poses what their originals do, and would take many starts.
 
     Returns
     -------
-    problem : Adjustment
+    problem : MapProblem
         Of the views left, each with the weight of its copies.
     place : (V,) which of them each view repeats
     """
@@ -146,7 +144,6 @@ def _few(
         return problem, np.arange(len(place))
     views = take(problem.views, kept)
     views = views._replace(weights=views.weights * np.sqrt(times)[:, None])
-    assert isinstance(problem.model, ScaleFree)
     return _problem(views, problem.model, priors), place
 
 
@@ -155,9 +152,8 @@ def _repeated(state: Geometry, place: NDArray[np.intp]) -> Geometry:
     return state._replace(rotation=state.rotation[:, place], position=state.position[:, place])
 
 
-def _descend(problem: Adjustment, start: Geometry) -> Minimum[Geometry]:
+def _descend(problem: MapProblem, start: Geometry) -> Minimum[Geometry]:
     """Find the lowest minimum that some starts lead to."""
-    assert problem.noise is not None
     several = problem.believing(problem.noise.repeat(len(start.theta)))
     return minimise(several, start, _FINE, lead=HOPELESS).best()
 
@@ -166,17 +162,14 @@ def _lower(one: Minimum[Geometry], other: Minimum[Geometry]) -> Minimum[Geometry
     return other if other.objective[0] < one.objective[0] else one
 
 
-def _doubtful(problem: Adjustment, found: Minimum[Geometry], lowest_scatter: float) -> bool:
+def _doubtful(problem: MapProblem, found: Minimum[Geometry], lowest_scatter: float) -> bool:
     """Whether a minimum leaves more than the data would, or contradicts a prior."""
-    noise, priors = problem.noise, problem.constraint
-    assert noise is not None
-    assert isinstance(priors, PriorRows)
-    scatter = float(noise.scatter(found.equations.squares)[0])
-    contradicted = bool(priors.distance(found.state.theta[0]).max() > CONTRADICTED)
+    scatter = float(problem.noise.scatter(found.equations.squares)[0])
+    contradicted = bool(problem.constraint.distance(found.state.theta[0]).max() > CONTRADICTED)
     return scatter > COMPUTED_PX and (contradicted or scatter > ELSEWHERE * lowest_scatter)
 
 
-def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Adjustment, Geometry, float]:
+def _settled(problem: MapProblem, found: Minimum[Geometry]) -> tuple[Adjustment, Geometry, float]:
     """Go from a minimum to the middle of the posterior and to the noise there, and let the boards follow.
 
     By Gauss-Newton steps, as long as they grow shorter. Where they do not, the model being far from linear or
@@ -191,9 +184,6 @@ def _settled(problem: Adjustment, found: Minimum[Geometry]) -> tuple[Adjustment,
     sigma : float
     """
     priors, noise, model = problem.constraint, problem.noise, problem.model
-    assert isinstance(priors, PriorRows)
-    assert isinstance(model, ScaleFree)
-    assert noise is not None
     state, sigma, squares = found.state, float(np.sqrt(found.variance[0])), None
     assert problem.departures is not None
     moved, length = problem, math.inf
@@ -224,7 +214,7 @@ def _variance(noise: Noise, unit: float, squares: float) -> float:
     return float(noise.variance(np.array([squares * unit]))[0]) / unit
 
 
-def _ahead(problem: Adjustment, noise: Noise, found: Minimum[Geometry]) -> tuple[float, float]:
+def _ahead(problem: MapProblem, found: Minimum[Geometry]) -> tuple[float, float]:
     """Foresee what becomes of a minimum when the data are trusted more, up to their word.
 
     Noise and camera can explain the same residuals in two ways: much noise and a camera that the prior likes,
@@ -243,8 +233,6 @@ def _ahead(problem: Adjustment, noise: Noise, found: Minimum[Geometry]) -> tuple
     # The state is one step ahead of the equations, the last, which is too short to matter.
     shared, local, _ = solve(equations, sigma**2, np.zeros(len(sigma)))
     squares = equations.squares_after(shared, local)
-    priors = problem.constraint
-    assert isinstance(priors, PriorRows)
-    prior_squares = priors.squares(found.state.theta + shared)
-    noise = noise.repeat(len(sigma))
+    prior_squares = problem.constraint.squares(found.state.theta + shared)
+    noise = problem.noise.repeat(len(sigma))
     return float(noise.scatter(squares)[-1]), float(noise.objective(squares, prior_squares).min())

@@ -210,7 +210,8 @@ class Session:
         expected = known.projection_std(np.array([chosen]))[0]
         # Views that make a usable camera have nothing left to wait for but their number.
         enough = not full and self._usable and trial.verdict.usable
-        if not enough and expected >= self.frames.criteria.max_error_ratio * rival:
+        wanted = enough or expected < self.frames.criteria.max_error_ratio * rival
+        if not wanted or len(old) not in chosen:
             return _nothing_new(detection)
         self._keep([together[i] for i in chosen], size, None if full else trial)
         message = f"The expected projection error is {expected:.2f} px now."

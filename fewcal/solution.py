@@ -93,9 +93,7 @@ def map_solution(found: Estimate, alike: Copies) -> Solution:
         covariance=model.natural_spread(theta, result.covariance[:8, :8]),
         settled={name: 1 - share for name, share in left.items()},
         prior_conflicts=_worst_by_name(conflicts),
-        disagreement=disagreement(
-            result.reduced, model.size, found.sigma, found.adjustment.views.counts, alike.times
-        ),
+        disagreement=_disagreement(result.reduced, found, alike),
     )
 
 
@@ -145,7 +143,6 @@ def pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alike
     even = replace(found.adjustment, views=views._replace(weights=np.sign(views.weights)))
     beyond = squared_errors(found, camera).sum() - even.linearise(found.geometry).squares[0]
     unheld = math.sqrt(max(float(beyond), 0.0) / views.counts.sum())
-    reduced = eliminate(rows).camera
     return Solution(
         camera=camera,
         pixel_distortion=coefficients,
@@ -156,8 +153,15 @@ def pixel_solution(found: Estimate, size: tuple[int, int], priors: Priors, alike
         covariance=covariance,
         settled=None,
         prior_conflicts={},
-        disagreement=disagreement(reduced, theta.size, found.sigma, views.counts, alike.times),
+        disagreement=_disagreement(eliminate(rows).camera, found, alike),
     )
+
+
+def _disagreement(reduced: Array, found: Estimate, alike: Copies) -> Disagreement | None:
+    """Of the views, whose reduced rows have the weights of :func:`fewcal.copies.share_weight`."""
+    problem = found.adjustment
+    unit = found.sigma * math.sqrt(alike.repeated)
+    return disagreement(reduced, problem.model.size, unit, problem.views.counts, alike.times)
 
 
 def _propagated(covariance: Array, J: Array) -> Array:

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from .adjustment import Adjustment, Geometry
+from .adjustment import Geometry, MapProblem
 from .closed_form import simplified_intrinsics
 from .constraints import Priors
 from .departures import COUNT
@@ -75,7 +75,7 @@ def starting_points(views: ViewStack, model: ScaleFree, priors: Priors) -> Geome
     return Geometry(theta.reshape(-1, 8), R.reshape(-1, count, 3, 3), t.reshape(-1, count, 3))
 
 
-def contenders(problem: Adjustment, starts: Geometry, place: NDArray[np.intp]) -> Geometry:
+def contenders(problem: MapProblem, starts: Geometry, place: NDArray[np.intp]) -> Geometry:
     """Let the starts descend, and keep the best of each arrangement of the boards that is not hopeless.
 
     With one view the kind of lenses that a start has is part of the arrangement. The departures of board and
@@ -87,7 +87,7 @@ def contenders(problem: Adjustment, starts: Geometry, place: NDArray[np.intp]) -
 
     Parameters
     ----------
-    problem : Adjustment
+    problem : MapProblem
     starts : Geometry
         See :func:`starting_points`.
     place : (N,)
@@ -99,8 +99,6 @@ def contenders(problem: Adjustment, starts: Geometry, place: NDArray[np.intp]) -
         When no start leads to a camera with the board in front of it.
     """
     priors, noise = problem.constraint, problem.noise
-    assert noise is not None
-    assert isinstance(priors, PriorRows)
     problem = replace(problem, noise=noise.known(), departures=None)
     # Each view is linearised once for each focal length and pose, and then combined.
     equations = problem.linearise(starts)
@@ -130,15 +128,13 @@ def contenders(problem: Adjustment, starts: Geometry, place: NDArray[np.intp]) -
     return _departing(_best_of_each(found, arrangement).state)
 
 
-def unprejudiced(problem: Adjustment, starts: Geometry) -> Geometry:
+def unprejudiced(problem: MapProblem, starts: Geometry) -> Geometry:
     """Find where all starts would lead, were little known of cameras but their focal length and distortion.
 
     A t prior has walls near its middle and is flat beyond: where the camera lies far out, boards tilted the
     wrong way, or a long lens, can explain the views at less cost on the way there, with no way on.
     """
     noise, priors = problem.noise, problem.constraint
-    assert noise is not None
-    assert isinstance(priors, PriorRows)
     source, arrangement = _arrangements(starts, priors)
     wide = replace(problem, constraint=priors.widened(WIDE), noise=noise.repeat(len(source)))
     found = minimise(wide, _departing(_arranged(starts, source)), _COARSE, lead=HOPELESS)

@@ -217,7 +217,7 @@ def _plane_axes(centred: NDArray[np.float64]) -> NDArray[np.float64]:
 
     They are the same whichever part of a board the points are, as what is bent along them has to be.
     """
-    normal = np.linalg.svd(centred, full_matrices=True)[2][2]
+    normal = np.linalg.svd(np.linalg.qr(centred, mode="r"))[2][2]
     normal = normal * np.where(normal @ _FACING < 0, -1, 1)
     along = np.eye(3)[int(abs(normal[0]) > _UPRIGHT)]
     first = along - (along @ normal) * normal

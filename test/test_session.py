@@ -296,6 +296,13 @@ def test_a_view_has_to_beat_the_second_look_that_would_tell_most() -> None:
     assert session.add(shown(35.0, 15.0)).reason == "nothing new"
 
 
+def test_a_view_that_replaces_none_is_not_kept() -> None:
+    # A ratio above one welcomes views that tell little; once there are enough they still have to be better.
+    kept, decisions = session_of(*pair(), shown(5.0, 10.0), criteria=Criteria(max_error_ratio=1.5))
+    assert [decision.reason for decision in decisions] == ["kept", "kept", "nothing new"]
+    assert kept.views == tuple(decision.detection.view for decision in decisions[:2] if decision.detection)
+
+
 def test_only_a_camera_that_is_usable_already_waits_for_nothing() -> None:
     _, decisions = session_of(flat(), shown(40.0, 10.0), criteria=Criteria(max_error_ratio=0.01))
     assert [decision.reason for decision in decisions] == ["kept", "nothing new"]

@@ -76,6 +76,20 @@ def test_points_that_count_for_less_do_not_tell_what_plumb_bob_does_not_hold() -
     assert solution.unheld_px < 0.2
 
 
+@pytest.mark.parametrize("count", [2, 20])
+def test_views_are_compared_by_their_own_scatter_however_many_share_the_weight(count: int) -> None:
+    rng = np.random.default_rng(4)
+    views = noisy(
+        views_at(*np.column_stack([rng.uniform(10, 45, count), rng.uniform(0, 360, count)])), 0.3, 2
+    )
+    stack, alike = stack_views(views), copies(views, SIZE)
+    mine = map_solution(estimate_map(stack, SIZE, Priors(), alike), alike).disagreement
+    theirs = pixel_solution(estimate_zhu2020(stack, SIZE), SIZE, Priors(), alike).disagreement
+    for found in (mine, theirs):
+        assert found is not None
+        assert found.alone_px == pytest.approx(0.3, rel=0.1)
+
+
 def test_the_remainder_of_the_lens_widens_the_focal_length_alone() -> None:
     covariance, departures = np.diag(np.arange(1.0, 9.0)), np.array([0.5, 0.5, 0.02, 0.5])
     plain = np.sqrt(np.diagonal(covariance))

@@ -185,6 +185,13 @@ def test_the_axes_of_a_plane_are_those_of_the_board_whatever_part_is_seen(
         np.testing.assert_allclose(plane.T, axes, atol=1e-12)
 
 
+def test_as_many_points_as_a_dense_pattern_has_are_no_burden() -> None:
+    pixels = np.random.default_rng(1).uniform(0, 1, (50_000, 2))
+    upright = np.column_stack([pixels[:, 0], np.zeros(len(pixels)), pixels[:, 1]])
+    plane = stack_views([View(upright, pixels)]).plane[0]
+    np.testing.assert_allclose(np.abs(plane[1]), [0, 0, 1], atol=1e-12)
+
+
 def test_a_plane_at_any_angle_has_axes_in_it() -> None:
     points = BOARD.points @ rotation_from_vector(np.array([0.4, -0.3, 0.9])).T
     planes = [stack_views([View(seen, np.zeros((len(seen), 2)))]).plane[0] for seen in (points, points[:20])]

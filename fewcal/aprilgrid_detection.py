@@ -18,6 +18,7 @@ from .marker_boards import CornerGrid, locate_board, mirrored
 from .marker_lattice import Sighting, find_squares
 from .marker_placement import Layout
 from .markers import DICTIONARIES, in_mirror, recognise
+from .tag_gap import seen_gap
 
 if TYPE_CHECKING:
     from .aprilgrid import AprilGrid
@@ -34,6 +35,11 @@ REACH = 1.5
 """Tags are held against their neighbours, across the diagonal too: 1.41 times their pitch."""
 SQUARE = 1.5
 """Edge of the squares that meet at a corner, in gaps: the small one is one gap wide, the tag several."""
+SAME_GAP = 0.015
+"""How far the gap that is seen may be from the one asked for, as a share of the tag. On real boards it is off
+by 0.002; a gap off by 0.02 moves k1 of a usable camera by its sigma."""
+SURELY = 6.0
+"""And by how many of its own sd, which few or small tags leave."""
 
 
 def detect_aprilgrid(
@@ -46,6 +52,13 @@ def detect_aprilgrid(
         reason = _explain(grey, board, seen)
         if reason is not None:
             raise reason
+    gap, sd = seen_gap(_lattice(layout, seen))
+    if abs(gap - board.gap) > max(SAME_GAP, SURELY * sd):
+        raise BoardNotFound(
+            "wrong size",
+            f"The gaps between the tags are {gap:.2f} of a tag, not {board.gap:g}; give the gap of the board "
+            "that is shown.",
+        )
     square = SQUARE * board.gap * board.tag_size
     cells = DICTIONARIES[board.dictionary][0] + 2 * seen.border_bits
     grid = CornerGrid(
@@ -70,6 +83,14 @@ def aprilgrid_layout(board: AprilGrid) -> Layout:
     return Layout(numbers, corners, board.dictionary, LINKING, (BORDER_BITS, 1), turn=2)
 
 
+def _lattice(layout: Layout, seen: Sighting) -> Array:
+    """Corners (R + 1, C + 1, 2) of the squares that are seen, pixels; NaN for the others."""
+    corners = np.full(layout.corners.shape, np.nan)
+    for i, (right, down) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1))):
+        corners[seen.squares[:, 1] + down, seen.squares[:, 0] + right] = seen.pixels[:, i]
+    return corners
+
+
 def _explain(grey: GreyImage, board: AprilGrid, seen: Sighting) -> BoardNotFound | None:
     """Say why few tags or none fit the board; None when nothing fits better."""
     if any(
@@ -78,13 +99,15 @@ def _explain(grey: GreyImage, board: AprilGrid, seen: Sighting) -> BoardNotFound
     ):
         return mirrored()
     if len(seen.ids) < 2:
-        others = {recognise(grey, seen.unread, border) for border in (BORDER_BITS, 1)}
-        for other in others - {None, board.dictionary}:
-            return BoardNotFound(
-                "wrong size",
-                f"The tags are those of {str(other).removeprefix('DICT_')}, not of {board.family}; name the "
-                "family that the board was printed with.",
-            )
+        for border in (BORDER_BITS, 1):
+            other = recognise(grey, seen.unread, border)
+            if other is not None and other != board.dictionary:
+                family = other.replace("DICT_APRILTAG_", "tag")
+                return BoardNotFound(
+                    "wrong size",
+                    f"The tags are those of {family}, not of {board.family}; name the family that the board "
+                    "was printed with.",
+                )
         return BoardNotFound(
             "no board",
             f"No tags of {board.family} are to be seen; show the board sharp, well lit and close by.",

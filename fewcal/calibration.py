@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .adjustment import Estimate
 from .camera import Camera
-from .checks import real_array, require_kind
+from .checks import checked_size, real_array, require_kind
 from .constraints import PRIOR_ROWS, Priors
 from .copies import Copies, copies
 from .departures import COUNT, lens_remainder, radial_terms
@@ -35,8 +34,6 @@ from .zhu2020 import estimate_zhang, estimate_zhu2020
 
 Array = NDArray[np.float64]
 
-LARGEST_IMAGE = 2**31 - 1
-"""Width and height, pixels, that file formats and OpenCV can hold."""
 METHODS = ("map", "zhu2020", "zhang")
 """The default estimator, the paper's, and the one the paper compares itself with."""
 
@@ -191,7 +188,7 @@ def calibrate(
     ImaginaryFocalLength
         When the closed form of zhu2020 or zhang finds no focal length.
     """
-    size = _checked_size(image_size)
+    size = checked_size(image_size)
     views = _checked_views(views)
     check_options(method, priors, thresholds)
     stack, alike = stack_views(views), copies(views, size)
@@ -290,15 +287,3 @@ def _checked_views(views: Sequence[View]) -> tuple[View, ...]:
     if not all(isinstance(view, View) for view in listed):
         raise InvalidInput("views must be a list of fewcal.View.")
     return listed
-
-
-def _checked_size(image_size: tuple[int, int]) -> tuple[int, int]:
-    try:
-        width, height = (operator.index(length) for length in image_size)
-    except (TypeError, ValueError):
-        raise InvalidInput(f"image_size must be (width, height) in pixels, not {image_size!r}.") from None
-    if width < 1 or height < 1:
-        raise InvalidInput(f"image_size must be positive, not {width}x{height}.")
-    if max(width, height) > LARGEST_IMAGE:
-        raise InvalidInput(f"image_size must be at most {LARGEST_IMAGE} pixels, not {width}x{height}.")
-    return width, height

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .checks import real_array
-from .distortion import columns, distort, distort_jacobians, fold_radius, undistort
+from .distortion import distort, distort_jacobians, fold_radius, undistort
 from .errors import InvalidInput, ModelFoldsOver
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ class Projection(NamedTuple):
     ----------
     pixels : (..., N, 2) px
     d_points : (..., N, 2, 3) px per metre in the camera frame
-    d_intrinsics : (..., N, 2, 4) by (fx, fy, cx, cy), or (..., N, 2, 5) with the skew last
+    d_intrinsics : (..., N, 2, 4) by (fx, fy, cx, cy)
     d_distortion : (..., N, 2, K) by the distortion coefficients
     """
 
@@ -86,36 +86,29 @@ def project_jacobians(points: Array, intrinsics: Array, distortion: Array) -> Pr
     )
 
 
-def project_pixel_model_jacobians(points: Array, intrinsics: Array, distortion: Array) -> Projection:
-    """Project with the paper's distortion in pixels (eqs 2-13), with derivatives.
+def project_pixel_model(points: Array, intrinsics: Array, distortion: Array) -> Array:
+    """Project with the paper's distortion in pixels (eqs 2-13).
 
     Parameters
     ----------
     points : (..., N, 3)
-        Camera frame, metres.
+        Camera frame, metres. Points with z <= 0 have no image and give NaN.
     intrinsics : (..., 5)
         fx, fy, u0, v0, s, pixels.
     distortion : (..., 4)
         k1, k2 (eq 10-11), k3, k4 (eq 12-13), in px^-2, px^-4, px^-1, px^-1.
+
+    Returns
+    -------
+    (..., N, 2) pixels.
     """
     xy = _perspective(points)
-    fx, fy, _, _, skew = columns(intrinsics)
-    undistorted = np.stack([fx * xy[..., 0] + skew * xy[..., 1], fy * xy[..., 1]], axis=-1)
-    coefficients = _as_plumb_bob_order(distortion)
-    d_undistorted, d_coefficients = distort_jacobians(undistorted, coefficients)
-    scale = np.zeros((*np.broadcast_shapes(fx.shape, skew.shape), 2, 2))
-    scale[..., 0, 0], scale[..., 0, 1], scale[..., 1, 1] = fx, skew, fy
-    d_intrinsics = np.zeros((*undistorted.shape, 5))
-    d_intrinsics[..., 0] = d_undistorted[..., 0] * xy[..., None, 0]
-    d_intrinsics[..., 1] = d_undistorted[..., 1] * xy[..., None, 1]
-    d_intrinsics[..., 0, 2] = d_intrinsics[..., 1, 3] = 1
-    d_intrinsics[..., 4] = d_undistorted[..., 0] * xy[..., None, 1]
-    return Projection(
-        distort(undistorted, coefficients) + intrinsics[..., None, 2:4],
-        _through_perspective(d_undistorted @ scale, xy, points[..., 2]),
-        d_intrinsics,
-        d_coefficients[..., [0, 1, 3, 2]],
-    )
+    undistorted = xy * intrinsics[..., None, :2]
+    undistorted[..., 0] += intrinsics[..., None, 4] * xy[..., 1]
+    # The paper's k3 acts as p2 of plumb_bob and its k4 as p1.
+    coefficients = np.zeros((*distortion.shape[:-1], 5))
+    coefficients[..., :4] = distortion[..., [0, 1, 3, 2]]
+    return distort(undistorted, coefficients) + intrinsics[..., None, 2:4]
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,11 +254,6 @@ def _through_perspective(d_xy: Array, xy: Array, depth: Array) -> Array:
     d_points[..., :2] = d_xy / depth[..., None, None]
     d_points[..., 2] = -(d_points[..., 0] * xy[..., None, 0] + d_points[..., 1] * xy[..., None, 1])
     return d_points
-
-
-def _as_plumb_bob_order(distortion: Array) -> Array:
-    """Order the paper's k1, k2, k3, k4 as k1, k2, p1, p2, k3: their k3 acts as p2 and k4 as p1."""
-    return np.concatenate([distortion[..., [0, 1, 3, 2]], np.zeros_like(distortion[..., :1])], axis=-1)
 
 
 def _floats(values: ArrayLike, width: int, name: str) -> Array:

@@ -9,7 +9,6 @@ zero.
 from __future__ import annotations
 
 import math
-import operator
 import os
 import re
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ import yaml
 from numpy.typing import ArrayLike
 
 from .camera import Array, Camera
-from .checks import real_array, require_kind
+from .checks import checked_size, real_array, require_kind
 from .errors import InvalidInput
 from .files import path_text, write_atomically
 
@@ -90,14 +89,6 @@ class CameraInfo:
         require_kind("camera", camera, Camera)
         if not isinstance(camera_name, str):
             raise InvalidInput(f"camera_name must be a text, not {camera_name!r}.")
-        try:
-            width, height = (operator.index(side) for side in image_size)
-        except (TypeError, ValueError):
-            raise InvalidInput(
-                f"The image size must be (width, height) in pixels, not {image_size!r}."
-            ) from None
-        if min(width, height) <= 0:
-            raise InvalidInput(f"The image size must be positive, not {width} x {height} pixels.")
         R = np.eye(3) if rectification is None else real_array(rectification, "rectification")
         P = np.eye(3, 4) if projection is None else real_array(projection, "projection")
         if projection is None:
@@ -108,7 +99,7 @@ class CameraInfo:
         P.setflags(write=False)
         for name, value in (
             ("camera", camera),
-            ("image_size", (width, height)),
+            ("image_size", checked_size(image_size)),
             ("camera_name", camera_name),
             ("rectification", R),
             ("projection", P),

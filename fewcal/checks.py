@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from numbers import Real
 
@@ -12,6 +13,10 @@ from .errors import InvalidInput
 
 LARGEST = 1e50
 """What is beyond, or closer to zero than its inverse, has products that a double cannot hold."""
+
+
+LARGEST_IMAGE = 2**31 - 1
+"""Width and height, pixels, that file formats and OpenCV can hold."""
 
 
 def real_array(values: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -82,6 +87,25 @@ def require_kind(name: str, value: object, kind: type) -> None:
     """
     if not isinstance(value, kind):
         raise InvalidInput(f"{name} must be fewcal.{kind.__name__}, not {value!r}.")
+
+
+def checked_size(image_size: tuple[int, int]) -> tuple[int, int]:
+    """Width and height of images, pixels, as plain numbers.
+
+    Raises
+    ------
+    InvalidInput
+        When they are not positive and whole.
+    """
+    try:
+        width, height = (operator.index(length) for length in image_size)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"image_size must be (width, height) in pixels, not {image_size!r}.") from None
+    if width < 1 or height < 1:
+        raise InvalidInput(f"image_size must be positive, not {width}x{height}.")
+    if max(width, height) > LARGEST_IMAGE:
+        raise InvalidInput(f"image_size must be at most {LARGEST_IMAGE} pixels, not {width}x{height}.")
+    return width, height
 
 
 def _listed(values: Sequence[object]) -> str:

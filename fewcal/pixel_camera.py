@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera, project_pixel_model_jacobians
+from .camera import Camera, project_pixel_model
 from .distortion import distort_jacobians
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ def nearest_plumb_bob(intrinsics: Array, coefficients: Array, image_size: tuple[
     y = (v - v0) / fy
     x = (u - u0 - skew * y) / fx
     rays = np.stack([x, y, np.ones_like(x)], axis=-1)
-    pixels = project_pixel_model_jacobians(rays, intrinsics, coefficients).pixels
+    pixels = project_pixel_model(rays, intrinsics, coefficients)
     _, J = distort_jacobians(rays[:, :2], np.zeros(5))
     focal = np.array([fx, fy])
     displacement = pixels - (rays[:, :2] * focal + [u0, v0])

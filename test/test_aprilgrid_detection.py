@@ -173,7 +173,7 @@ def test_parts_of_a_board_make_a_camera() -> None:
         ({"columns": 5}, "as on a board 4 tags wide, not 5;"),
         ({"columns": 3, "rows": 4}, "as on a board 4 tags wide, not 3;"),
         ({"rows": 2}, "Tags up to number 11 are seen"),
-        ({"family": "tag25h9"}, "The tags are those of APRILTAG_36h11, not of tag25h9;"),
+        ({"family": "tag25h9"}, "The tags are those of tag36h11, not of tag25h9;"),
     ],
 )
 def test_another_board_is_told(asked: dict[str, Any], sentence: str) -> None:
@@ -181,6 +181,15 @@ def test_another_board_is_told(asked: dict[str, Any], sentence: str) -> None:
     error = refusal(image, replace(GRID, **asked))
     assert error.reason == "wrong size"
     assert sentence in str(error)
+
+
+@pytest.mark.parametrize("gap", [0.15, 0.25, 0.28, 0.32, 0.4, 0.6])
+@pytest.mark.parametrize("camera", [CAMERA, replace(CAMERA, distortion=[-0.35, 0.12, 0.0, 0.0, 0.0])])
+def test_gaps_of_another_width_are_told_with_it(gap: float, camera: Camera) -> None:
+    image, _ = picture(GRID, TAG_PX, 35, 40, 15, camera=camera, read_noise=4.0)
+    error = refusal(image, replace(GRID, gap=gap))
+    assert error.reason == "wrong size"
+    assert f"The gaps between the tags are 0.30 of a tag, not {gap:g};" in str(error)
 
 
 @pytest.mark.skipif(not REAL, reason="FEWCAL_REAL_DATA is not set")

@@ -12,7 +12,7 @@ from scenes import BOARD, CAMERA, SIZE, noisy, pose, view, views_at
 
 from fewcal.boards import Chessboard
 from fewcal.calibration import METHODS, Calibration, calibrate
-from fewcal.camera import Camera, project_pixel_model_jacobians
+from fewcal.camera import Camera, project_pixel_model
 from fewcal.constraints import Normal, Priors
 from fewcal.departures import axial_remainder, lens_remainder, radial_terms
 from fewcal.errors import DegenerateViews, InvalidInput
@@ -130,9 +130,7 @@ def test_map_recovers_the_papers_camera_whose_distortion_acts_on_pixels() -> Non
     intrinsics, coefficients = np.array([1100.0, 1108.0, 640, 470, 0]), np.array([-1e-7, 2e-14, 0, 0])
     poses = [pose(*tilt) for tilt in FIVE[:2]]
     points = [BOARD.points @ T[:3, :3].T + T[:3, 3] for T in poses]
-    views = [
-        View(BOARD.points, project_pixel_model_jacobians(X, intrinsics, coefficients).pixels) for X in points
-    ]
+    views = [View(BOARD.points, project_pixel_model(X, intrinsics, coefficients)) for X in points]
     found = calibrate(views, SIZE)
     np.testing.assert_allclose(found.camera.intrinsics, intrinsics[:4], rtol=1e-5)
     np.testing.assert_allclose(found.pixel_distortion[:2], coefficients[:2], rtol=1e-3)

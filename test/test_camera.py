@@ -14,7 +14,7 @@ from fewcal.camera import (
     Camera,
     project,
     project_jacobians,
-    project_pixel_model_jacobians,
+    project_pixel_model,
 )
 from fewcal.distortion import distort, distort_jacobians, fold_radius, undistort
 from fewcal.errors import InvalidInput, ModelFoldsOver
@@ -153,25 +153,6 @@ def test_project_jacobians(points: Array, intrinsics: Array, distortion: Array) 
         assert_derivative(analytic, differences(function, at, step))
 
 
-def test_project_pixel_model_jacobians(points: Array, intrinsics: Array) -> None:
-    rng = np.random.default_rng(5)
-    with_skew = np.concatenate([intrinsics, rng.uniform(-5, 5, (*BATCH, 1))], axis=-1)
-    scale = np.array([1e-7, 1e-13, 1e-5, 1e-5])
-    in_pixels = rng.uniform(-1, 1, (*BATCH, 4)) * scale
-    result = project_pixel_model_jacobians(points, with_skew, in_pixels)
-
-    def pixels(X: Array, K: Array, d: Array) -> Array:
-        return project_pixel_model_jacobians(X, K, d).pixels
-
-    assert_derivative(result.d_points, differences(lambda at: pixels(at, with_skew, in_pixels), points, 1e-6))
-    assert_derivative(
-        result.d_intrinsics, differences(lambda at: pixels(points, at, in_pixels), with_skew, 1e-2)
-    )
-    # The coefficients differ by ten orders of magnitude, so that each is varied in its own unit.
-    scaled = differences(lambda at: pixels(points, with_skew, at * scale), in_pixels / scale, 1e-2)
-    assert_derivative(result.d_distortion * scale, scaled)
-
-
 def test_leading_axes_give_what_each_camera_gives_alone(
     points: Array, intrinsics: Array, distortion: Array
 ) -> None:
@@ -194,7 +175,7 @@ def test_pixel_model_of_square_pixels_is_plumb_bob(f: float, paper: tuple[float,
     points = np.random.default_rng(6).uniform([-0.4, -0.4, 0.8], [0.4, 0.4, 1.6], (POINTS, 3))
     in_pixels = np.array([K1 / f**2, K2 / f**4, p2 / f, p1 / f])
     np.testing.assert_allclose(
-        project_pixel_model_jacobians(points, np.array([f, f, 640, 480, 0]), in_pixels).pixels,
+        project_pixel_model(points, np.array([f, f, 640, 480, 0]), in_pixels),
         project(points, np.array([f, f, 640, 480]), np.array([K1, K2, p1, p2, 0])),
         rtol=1e-12,
         atol=1e-11,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scenes import SIZE, pose, view, views_at
 
 from fewcal.boards import Chessboard
-from fewcal.camera import Camera, project_pixel_model_jacobians
+from fewcal.camera import Camera, project_pixel_model
 from fewcal.closed_form import simplified_intrinsics
 from fewcal.errors import DegenerateViews, ImaginaryFocalLength
 from fewcal.homography import homographies, refine_homographies
@@ -33,8 +33,8 @@ def paper_views(
     for tilt, about in tilts:
         T = pose(tilt, about)
         points = board.points @ T[:3, :3].T + T[:3, 3]
-        found = project_pixel_model_jacobians(points, np.array(intrinsics), np.array(coefficients))
-        views.append(View(board.points, found.pixels))
+        pixels = project_pixel_model(points, np.array(intrinsics), np.array(coefficients))
+        views.append(View(board.points, pixels))
     return views
 
 

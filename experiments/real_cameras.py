@@ -1,9 +1,11 @@
 """Calibrate real cameras from single views and pairs, and compare with a calibration on all their views.
 
-    python experiments/real_cameras.py DIR [--pairs 30] [--methods map opencv-expert ...] [--plots DIR]
+    python experiments/real_cameras.py DIR... [--pairs 30] [--methods map opencv-expert ...] [--plots DIR]
 
 DIR holds one folder a camera with a corners.npz: names, view_ptr (V + 1 offsets), obj (M, 3) metres, img
 (M, 2) pixels, image_size (w, h). The reference is OpenCV's calibration on all views with k3 fixed at zero.
+`--steady 0.02` leaves out cameras whose reference is known to no better than 2 % itself (fx, one sigma, by
+the jackknife: how it changes when each view is left out in turn); the distance from those is no error.
 Printed for each method, median and 90th percentile: the relative focal error, and the projection error
 after the best rotation, over a grid on the image, in thousandths of the image diagonal. Then gross failures
 (focal error above 10 %, or no answer), how many of those the verdict had flagged, the share of focal errors
@@ -64,6 +66,22 @@ def opencv(views: list[fewcal.View], size: tuple[int, int], flags: int) -> fewca
     except cv2.error as error:
         raise fewcal.DegenerateViews(str(error)) from error
     return fewcal.Camera(K[0, 0], K[1, 1], K[0, 2], K[1, 2], D.ravel()[:5])
+
+
+def reference(views: list[fewcal.View], size: tuple[int, int]) -> fewcal.Camera:
+    """What the answers are compared with."""
+    return opencv(views, size, cv2.CALIB_FIX_K3)
+
+
+def unsteadiness(path: Path) -> float:
+    """Relative sd of fx of a reference, by the jackknife; infinite where a view is indispensable."""
+    cv2.setNumThreads(1)
+    views, size = load(path)
+    try:
+        left = [reference(views[:i] + views[i + 1 :], size).fx for i in range(len(views))]
+    except fewcal.FewcalError:
+        return np.inf
+    return float(np.std(left) * np.sqrt(len(left) - 1) / reference(views, size).fx)
 
 
 Answer = tuple[fewcal.Camera, float | None, bool]
@@ -177,16 +195,14 @@ Results = dict[tuple[str, int], list[Result]]
 """By method and number of views."""
 
 
-def measure(
-    method: Method, views: list[fewcal.View], size: tuple[int, int], reference: fewcal.Camera
-) -> Result:
+def measure(method: Method, views: list[fewcal.View], size: tuple[int, int], truth: fewcal.Camera) -> Result:
     """Calibrate, and compare with the reference."""
     try:
         camera, sd, usable = method(views, size)
     except fewcal.FewcalError:
         return Result(np.inf, np.inf, np.nan, False)
-    error = abs(camera.fx / reference.fx - 1)
-    return Result(error, projection_error(camera, reference, size), error / sd if sd else np.nan, usable)
+    error = abs(camera.fx / truth.fx - 1)
+    return Result(error, projection_error(camera, truth, size), error / sd if sd else np.nan, usable)
 
 
 def run(job: tuple[Path, int, tuple[str, ...]]) -> Results:
@@ -194,9 +210,9 @@ def run(job: tuple[Path, int, tuple[str, ...]]) -> Results:
     path, pairs, names = job
     cv2.setNumThreads(1)
     views, size = load(path)
-    reference = opencv(views, size, cv2.CALIB_FIX_K3)
+    truth = reference(views, size)
     return {
-        (name, count): [measure(METHODS[name], [views[i] for i in draw], size, reference) for draw in chosen]
+        (name, count): [measure(METHODS[name], [views[i] for i in draw], size, truth) for draw in chosen]
         for count, chosen in draws(len(views), pairs, np.random.default_rng(0)).items()
         for name in names
     }
@@ -277,18 +293,26 @@ def plot(results: Mapping[tuple[str, int], Sequence[Result]], folder: Path) -> N
 def main() -> None:
     """Print the comparison."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR")
     parser.add_argument("--pairs", type=int, default=30, help="pairs of views a camera at most (default 30)")
+    parser.add_argument("--steady", type=float, help="leave out references with a larger sd of fx")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS), help="default: all")
     parser.add_argument("--each", action="store_true", help="also print a table of each camera")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), help="default: one a core")
     parser.add_argument("--plots", type=Path, help="folder for the figure (default: none is drawn)")
     options = parser.parse_args()
-    paths = sorted(options.folder.glob("**/corners.npz"))
+    paths = sorted(path for folder in options.folders for path in folder.glob("**/corners.npz"))
     if not paths:
-        parser.error(f"There is no corners.npz in {options.folder} or a folder in it.")
+        parser.error("There is no corners.npz in these folders, nor in a folder in them.")
     together: Results = {}
     with ProcessPoolExecutor(options.processes) as pool:
+        if options.steady is not None:
+            known = dict(zip(paths, pool.map(unsteadiness, paths), strict=True))
+            for path in paths:
+                left_out = ", left out" * (known[path] > options.steady)
+                print(f"{path.parent.name}: reference known to {100 * known[path]:.2f} %{left_out}")
+            paths = [path for path in paths if known[path] <= options.steady]
+            print(f"\nCameras: {len(paths)}\n")
         jobs = [(path, options.pairs, tuple(options.methods)) for path in paths]
         for path, results in zip(paths, pool.map(run, jobs), strict=True):
             for key, found in results.items():

@@ -16,9 +16,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
-from real_cameras import Answer, Result, draws, load, measure, opencv, quantiles
+from real_cameras import Answer, Result, draws, load, measure, quantiles, reference
 
 import fewcal
 from fewcal.constraints import Normal, Priors
@@ -62,12 +61,12 @@ def answer(priors: Priors, views: list[fewcal.View], size: tuple[int, int]) -> A
 def run(path: Path, pairs: int) -> dict[tuple[int, str], list[Result]]:
     """All draws of one camera, for each part that is known."""
     views, size = load(path)
-    reference = opencv(views, size, cv2.CALIB_FIX_K3)
+    truth = reference(views, size)
     results = {}
     for count, chosen in draws(len(views), pairs, np.random.default_rng(0)).items():
         for name, parts in PARTS.items():
-            method = partial(answer, knowing(reference, size, parts))
-            of = [measure(method, [views[i] for i in draw], size, reference) for draw in chosen]
+            method = partial(answer, knowing(truth, size, parts))
+            of = [measure(method, [views[i] for i in draw], size, truth) for draw in chosen]
             results[count, name] = of
     return results
 

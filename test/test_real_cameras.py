@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from real_cameras import Result, cells, draws, load, projection_error
+from real_cameras import Result, cells, draws, load, projection_error, unsteadiness
 from scenes import SIZE, views_at
 from what_limits import PARTS, answer, knowing, run
 
@@ -43,6 +43,16 @@ def test_corners_are_read_view_by_view(folder: Path) -> None:
     assert size == SIZE
     assert len(views) == len(TILTS)
     assert np.array_equal(views[2].object_points, views_at(*TILTS, camera=CAMERA)[2].object_points)
+
+
+def test_a_reference_from_few_views_is_known_less_well(folder: Path) -> None:
+    corners = folder / "rendered" / "corners.npz"
+    of_six = unsteadiness(corners)
+    assert 1e-5 < of_six < 0.005
+    with np.load(corners) as held:
+        data = dict(held)
+    np.savez(corners, **{**data, "view_ptr": data["view_ptr"][:4]})
+    assert unsteadiness(corners) > 1.5 * of_six
 
 
 def test_pairs_are_all_or_a_choice() -> None:
@@ -93,6 +103,18 @@ def test_a_small_run(folder: Path) -> None:
     assert median < 1.0
     assert _row(done.stdout, "map", 2)[5] == "0"
     assert (folder / "real_cameras.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_cameras_whose_reference_is_not_known_are_left_out(folder: Path) -> None:
+    def study(steady: str) -> str:
+        return subprocess.run(
+            [sys.executable, str(STUDY), str(folder), "--pairs", "1", "--methods", "map", "--steady", steady],
+            capture_output=True, encoding="utf-8", timeout=300, check=True,
+        ).stdout  # fmt: skip
+
+    assert "rendered: reference known to 0." in study("0.02")
+    assert "\nCameras: 1\n" in study("0.02")
+    assert "%, left out\n\nCameras: 0\n" in study("1e-6")
 
 
 def test_what_is_known_of_a_camera_is_found_again(folder: Path) -> None:

@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 import os
 import re
-from dataclasses import dataclass
+import reprlib
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -118,30 +119,36 @@ class CameraInfo:
 
 
 def write_camera_info(
-    path: str | os.PathLike[str], calibration: HasCamera, camera_name: str = "camera"
+    path: str | os.PathLike[str], calibration: HasCamera, camera_name: str | None = None
 ) -> None:
     """Write a calibration as a camera_info file, whole or not at all.
 
-    R is the identity and P = [K | 0]. Numbers are written so that they read back bit by bit.
+    R is the identity and P = [K | 0], except for a CameraInfo, which has its own. Numbers are written so that
+    they read back bit by bit.
 
     Parameters
     ----------
     path : str or path
         The file, commonly NAME.yaml.
-    calibration : Calibration
+    calibration : Calibration or CameraInfo
         Anything with a ``camera`` and an ``image_size``.
-    camera_name : str
-        Letters, digits and underscores; camera_info_manager compares it with the driver's.
+    camera_name : str, optional
+        Letters, digits and underscores; camera_info_manager compares it with the driver's. When left out, it
+        is that of a CameraInfo, or "camera".
 
     Raises
     ------
     InvalidInput
         When the name is not allowed or the file cannot be written.
     """
-    check_camera_name(camera_name)
     if not isinstance(getattr(calibration, "camera", None), Camera):
-        raise InvalidInput(f"calibration must be a fewcal.Calibration, not {calibration!r}.")
-    info = CameraInfo(calibration.camera, calibration.image_size, camera_name)
+        raise InvalidInput(f"calibration must be a fewcal.Calibration, not {reprlib.repr(calibration)}.")
+    info = calibration
+    if not isinstance(info, CameraInfo):
+        info = CameraInfo(calibration.camera, calibration.image_size, "camera")
+    if camera_name is not None:
+        info = replace(info, camera_name=camera_name)
+    check_camera_name(info.camera_name)
     write_atomically(path, camera_info_text(info))
 
 
@@ -199,6 +206,10 @@ def parse_camera_info(text: str) -> CameraInfo:
     InvalidInput
         When the text is no camera_info of a plumb_bob camera; names the key.
     """
+    if text.startswith("%YAML:"):
+        raise InvalidInput(
+            "this is a file of OpenCV's FileStorage; a camera_info is what ROS reads and writes."
+        )
     entries = _entries(_compose(text), "this")
     size = (_count(entries, "image_width"), _count(entries, "image_height"))
     name = _scalar(entries, "camera_name", default=_UNNAMED)

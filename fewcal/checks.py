@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import reprlib
 from collections.abc import Sequence
 from numbers import Real
 
@@ -78,6 +79,22 @@ def require_pair(name: str, pair: object, positive: bool = False) -> None:
     require_numbers(name, () if positive else numbers, numbers if positive else ())
 
 
+def checked_stamp(stamp_ns: object) -> int | None:
+    """Time of a frame, nanoseconds, as a plain number; None where it is not known.
+
+    Raises
+    ------
+    InvalidInput
+        When it is no whole number.
+    """
+    try:
+        return None if stamp_ns is None else operator.index(stamp_ns)  # type: ignore[arg-type]
+    except TypeError:
+        raise InvalidInput(
+            f"stamp_ns must be a whole number of nanoseconds, or None, not {reprlib.repr(stamp_ns)}."
+        ) from None
+
+
 def require_kind(name: str, value: object, kind: type) -> None:
     """Refuse what is not of a class of this package.
 
@@ -86,7 +103,7 @@ def require_kind(name: str, value: object, kind: type) -> None:
     InvalidInput
     """
     if not isinstance(value, kind):
-        raise InvalidInput(f"{name} must be fewcal.{kind.__name__}, not {value!r}.")
+        raise InvalidInput(f"{name} must be fewcal.{kind.__name__}, not {reprlib.repr(value)}.")
 
 
 def checked_size(image_size: tuple[int, int]) -> tuple[int, int]:
@@ -100,7 +117,9 @@ def checked_size(image_size: tuple[int, int]) -> tuple[int, int]:
     try:
         width, height = (operator.index(length) for length in image_size)
     except (TypeError, ValueError):
-        raise InvalidInput(f"image_size must be (width, height) in pixels, not {image_size!r}.") from None
+        raise InvalidInput(
+            f"image_size must be (width, height) in pixels, not {reprlib.repr(image_size)}; give whole numbers."
+        ) from None
     if width < 1 or height < 1:
         raise InvalidInput(f"image_size must be positive, not {width}x{height}.")
     if max(width, height) > LARGEST_IMAGE:

@@ -6,6 +6,7 @@ Each kind looks for itself (``Board.detect``); its module says how.
 from __future__ import annotations
 
 import importlib
+import reprlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -106,7 +107,9 @@ def check_board(board: object) -> None:
     InvalidInput
     """
     if not hasattr(board, "detect"):
-        raise InvalidInput(f"board must be a fewcal board, such as fewcal.parse_board gives, not {board!r}.")
+        raise InvalidInput(
+            f"board must be a fewcal board, such as fewcal.parse_board gives, not {reprlib.repr(board)}."
+        )
 
 
 def edge_width(blur: Array) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .boards import Board
-from .checks import require_kind
+from .checks import checked_stamp, require_kind
 from .detection import Detection, check_board, detect_board
 from .errors import BoardNotFound, InvalidInput
 from .grey import GreyImage, as_grey
@@ -107,7 +107,7 @@ class FrameFilter:
         image : (H, W) or (H, W, C) array of uint8 or uint16
         stamp_ns : int, optional
         """
-        self._remember(stamp_ns, as_grey(image))
+        self._remember(stamp_ns, as_grey(image).copy())  # the caller may fill the same memory anew
 
     def turn_away(self, reason: str) -> None:
         """Count a frame that is not to be looked at."""
@@ -188,6 +188,7 @@ class FrameFilter:
         return shift_px(detection.view, View(before.object_points, before.image_points + low))
 
     def _remember(self, stamp_ns: int | None, frame: View | GreyImage | None) -> None:
+        stamp_ns = checked_stamp(stamp_ns)
         self._before = None if stamp_ns is None else (stamp_ns, frame)
 
     def _reject(self, reason: str, message: str, detection: Detection | None = None) -> Decision:

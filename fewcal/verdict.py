@@ -74,6 +74,10 @@ class Thresholds:
         # Infinity is a threshold that nothing reaches.
         if not all(isinstance(value, Real) and value <= math.inf for value in astuple(self)):
             raise InvalidInput(f"Thresholds are numbers, not {self!r}.")
+        if not self.focal_std > 0:
+            raise InvalidInput(
+                f"Thresholds.focal_std is a share of the focal length above zero, not {self.focal_std!r}."
+            )
 
 
 @dataclass(frozen=True)

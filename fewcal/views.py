@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import real_array
+from .checks import checked_stamp, real_array
 from .errors import InvalidInput
 
 PLANARITY_TOLERANCE = 1e-6
@@ -85,6 +86,8 @@ class View:
             raise InvalidInput(f"{len(obj)} object points but {len(img)} image points; give one for each.")
         if obj.shape[1] == 2:
             obj = np.hstack([obj, np.zeros((len(obj), 1))])
+        if not isinstance(source, str):
+            raise InvalidInput(f"source must be a text, not {reprlib.repr(source)}.")
         _check_planar(obj)
         weights = None if sigma is None else _sigmas(sigma, len(obj))
         obj.setflags(write=False)
@@ -94,7 +97,7 @@ class View:
             ("image_points", img),
             ("sigma", weights),
             ("source", source),
-            ("stamp_ns", stamp_ns),
+            ("stamp_ns", checked_stamp(stamp_ns)),
         ):
             object.__setattr__(self, name, value)
 

@@ -186,7 +186,9 @@ def _add_info(commands: argparse._SubParsersAction[_Parser], actions: Mapping[st
         "info", help="list the topics of a recording", description="List what a recording holds."
     )
     command.set_defaults(run=actions["info"])
-    command.add_argument("recording", metavar="BAG", help="a .mcap, .db3 or .bag file, or a rosbag2 folder")
+    command.add_argument(
+        "recording", type=_named, metavar="BAG", help="a .mcap, .db3 or .bag file, or a rosbag2 folder"
+    )
 
 
 def _add_board(commands: argparse._SubParsersAction[_Parser], actions: Mapping[str, Action]) -> None:
@@ -220,7 +222,9 @@ def _add_play(commands: argparse._SubParsersAction[_Parser], actions: Mapping[st
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     command.set_defaults(run=actions["play"])
-    command.add_argument("recording", metavar="BAG", help="a .mcap, .db3 or .bag file, or a rosbag2 folder")
+    command.add_argument(
+        "recording", type=_named, metavar="BAG", help="a .mcap, .db3 or .bag file, or a rosbag2 folder"
+    )
     command.add_argument(
         "--rate", type=_rate, default=1.0, metavar="R", help="speed, 2 for twice that of the recording"
     )

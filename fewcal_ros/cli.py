@@ -113,9 +113,9 @@ def _calibrate(options: argparse.Namespace) -> int:
         priors=Priors(focal_px=tuple(options.focal_px) if options.focal_px else None),
         thresholds=Thresholds(focal_std=options.max_focal_std),
     )
-    if options.out is not None:
-        _make_folder(options.out)
     with _open(options, settings.board) as reader:
+        if options.out is not None:  # better now than after all the work
+            _make_folder(options.out)
         try:
             with _progress(reader) as frames:
                 outcome = calibrate_frames(frames, settings)

@@ -423,6 +423,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 )
             rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:  # arguments or a parameter file that ROS cannot read
+            if "logging" in str(error):
+                return _fail("ROS cannot write its log; set ROS_LOG_DIR to a folder that can be written.")
             return _fail(f"ROS cannot use the arguments or a parameter file: {error}")
         try:
             node = CalibrationNode()

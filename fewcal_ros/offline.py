@@ -179,6 +179,9 @@ def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome
     # Images of another size are another camera, or the same one in another mode: the larger group counts.
     size, frame_id = kind = max(good, key=lambda kind: len(good[kind]))
     views = good.pop(kind)
+    if frame_id:  # what came before the first frame_id may be of any camera, too
+        views = [*good.pop((size, ""), []), *views]
+        moving[kind] = [*moving.get((size, ""), []), *moving.get(kind, [])]
     others = Counter({name: len(left) for (other, name), left in good.items() if other == size})
     rejected[OTHER_CAMERA] = others.total()
     rejected["other size"] = sum(map(len, good.values())) - others.total()
@@ -194,9 +197,10 @@ def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome
         calibration = _with_remark(calibration, contradiction, usable=False)
     calibration = _beside_others(calibration, frame_id, others)
     if in_motion := sum(view in moving.get(kind, []) for view in chosen):
+        which = f"{in_motion} of the {len(chosen)} views {'are' if in_motion > 1 else 'is'}"
         calibration = _with_remark(
             calibration,
-            f"{in_motion} of the {len(chosen)} views are of a board in motion, which a rolling shutter "
+            f"{which if len(chosen) > 1 else 'The view is'} of a board in motion, which a rolling shutter "
             "distorts; hold it still for half a second at each pose.",
         )
     read = sum(look.read for look in looks.values())

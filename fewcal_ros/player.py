@@ -99,7 +99,10 @@ def play(path: str | Path, playback: Playback, tell: Tell) -> int:
         raise RecordingError(f"{path} holds images, not a recording; there are no topics to play.")
     for sentence in source.warnings:
         tell(sentence)
-    names = choose_topics(merge_topics(source.recordings), playback.topics)
+    topics = merge_topics(source.recordings)
+    if not any(topic.count for topic in topics):
+        raise RecordingError(f"{path} holds no messages; record it again.")
+    names = choose_topics(topics, playback.topics)
     with until_signal() as wait, _node() as node:
         player = _Player(source.recordings, playback, _publishers(node, names, playback.reliable, tell), tell)
         player.run(wait)

@@ -204,7 +204,9 @@ def open_source(path: Path) -> Source:
 
 
 def _open_folder(folder: Path) -> Source:
-    files = sorted((file for file in folder.iterdir() if file.is_file()), key=_natural_order)
+    # Hidden files are not the user's: other systems leave some beside every image.
+    visible = (file for file in folder.iterdir() if file.is_file() and not file.name.startswith("."))
+    files = sorted(visible, key=_natural_order)
     heads = {file: _head_if_readable(file) for file in files}
     recordings = [file for file in files if _begins_recording(file, heads[file])]
     images = [file for file in files if file not in recordings and _begins_image(file, heads[file])]

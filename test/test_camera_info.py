@@ -183,6 +183,17 @@ def test_a_calibration_reads_back_from_its_file(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["camera.yaml"]
 
 
+def test_what_was_read_is_written_as_it_was(tmp_path: Path) -> None:
+    """A rectified stereo camera keeps its baseline."""
+    first, second = tmp_path / "left.yaml", tmp_path / "copy.yaml"
+    R, P = np.diag([1.0, -1.0, -1.0]), np.array([[500.0, 0, 320, -60], [0, 500, 240, 0], [0, 0, 1, 0]])
+    first.write_text(camera_info_text(CameraInfo(CALIBRATED.camera, (1280, 960), "left", R, P)))
+    write_camera_info(second, read_camera_info(first))
+    assert second.read_text() == first.read_text()
+    write_camera_info(second, read_camera_info(first), camera_name="right")
+    assert second.read_text() == first.read_text().replace("left", "right")
+
+
 @pytest.mark.parametrize("name", ["", "left camera", "a/b", "kamera-1", "grün", "a\n", "../etc"])
 def test_names_that_camera_info_manager_refuses_are_not_written(tmp_path: Path, name: str) -> None:
     with pytest.raises(InvalidInput, match="letters, digits and underscores"):
@@ -364,6 +375,7 @@ def test_a_matrix_that_is_no_camera(index: int, value: float) -> None:
         ("[" * 50_000, "not YAML that can be read"),
         ('"\\UFFFFFFFF"', "not YAML that can be read"),
         ("\0", "not YAML that can be read"),
+        ("%YAML:1.0\n---\nimage_width: 640\n", "a file of OpenCV's FileStorage"),
     ],
 )
 def test_text_that_is_no_camera_info(text: str, sentence: str) -> None:

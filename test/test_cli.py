@@ -301,6 +301,8 @@ USAGE = {
     "first of all": [*calibrate("x.png"), "--select", "first", "--views", "all"],
     "a source without a name": ["calibrate", "", "--board", BOARD],
     "a folder without a name": [*calibrate("x.png"), "--out", ""],
+    "information on nothing": ["info", ""],
+    "nothing to play": ["play", ""],
     "views 0": [*calibrate("x.png"), "--views", "0"],
     "views -1": [*calibrate("x.png"), "--views", "-1"],
     "views x": [*calibrate("x.png"), "--views", "x"],
@@ -463,6 +465,11 @@ def test_a_recording_without_images_says_what_it_has(run: Any, tmp_path: Path) -
     assert result.code == 2
     assert_one_sentence(result.err)
     assert "only /chatter (std_msgs/msg/String, 1 message)" in result.err
+
+
+def test_a_mistyped_source_leaves_no_folder_behind(run: Any, tmp_path: Path) -> None:
+    assert run(*calibrate(tmp_path / "missing.mcap"), "--out", tmp_path / "new" / "one").code == 2
+    assert not (tmp_path / "new").exists()
 
 
 def test_out_must_be_a_folder_that_can_be_written(run: Any, flat_image: str, tmp_path: Path) -> None:

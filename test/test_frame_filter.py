@@ -113,6 +113,22 @@ def test_motion_is_measured_from_frame_to_frame() -> None:
     assert [look.look(*frame).reason for frame in frames] == ["kept", "moving", "moving", "moving"]
 
 
+def test_memory_that_is_filled_anew_is_not_taken_for_a_board_held_still() -> None:
+    frames, memory = FrameFilter(BOARD), shown(30.0, shift_px=6.0).copy()
+    frames.pass_by(memory, 0)
+    memory[:] = shown(30.0)
+    assert frames.look(memory, PERIOD_NS).reason == "moving"
+
+
+@pytest.mark.parametrize("stamp", ["now", 1.5, b"1"])
+@pytest.mark.parametrize("image", [shown(30.0), empty()])
+def test_a_time_that_is_none_is_refused_and_forgotten(image: Image, stamp: Any) -> None:
+    frames = FrameFilter(BOARD)
+    with pytest.raises(InvalidInput, match="stamp_ns must be a whole number of nanoseconds, or None"):
+        frames.look(image, stamp)
+    assert frames.look(shown(30.0), 5).kept
+
+
 def test_what_is_no_image_is_not_counted() -> None:
     session = Session(BOARD)
     for wrong in (np.zeros((480, 640)), np.zeros((0, 3), np.uint8), np.zeros((4, 4, 2), np.uint8), None):

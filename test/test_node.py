@@ -515,6 +515,20 @@ class TestParameters:
         assert reason in done.stderr
         assert "Traceback" not in done.stderr
 
+    def test_a_log_that_cannot_be_written_is_told(self, tmp_path):
+        (tmp_path / "file").touch()
+        with own_domain() as environment:
+            done = subprocess.run(
+                [sys.executable, "-m", "fewcal_ros.node", "--ros-args", "-p", f"board:={BOARD}"],
+                env=environment | {"ROS_LOG_DIR": str(tmp_path / "file" / "log")},
+                capture_output=True,
+                text=True,
+                timeout=TIMEOUT_S,
+                check=False,
+            )
+        assert done.returncode == 2, done.stderr
+        assert "ROS cannot write its log; set ROS_LOG_DIR to a folder" in done.stderr
+
     @pytest.mark.parametrize(
         ("arguments", "code", "said"),
         [

@@ -217,10 +217,17 @@ def test_images_of_another_camera_on_the_topic_are_left_out(select: str) -> None
     assert alone.calibration.verdict.reasons == ()
 
 
+def test_one_view_in_motion_is_said_in_good_grammar() -> None:
+    images = [empty(), *(shown(40.0, 10.0, shift_px=6.0 * i) for i in range(3))]
+    outcome = calibrated(images, PERIOD_NS, views=1)
+    assert outcome.calibration.verdict.reasons[-1].startswith("The view is of a board in motion, which a")
+
+
+@pytest.mark.parametrize("nameless", [0, 1])
 @pytest.mark.parametrize("select", ["best", "first"])
-def test_an_image_without_a_frame_id_may_be_of_any_camera(select: str) -> None:
+def test_an_image_without_a_frame_id_may_be_of_any_camera(select: str, nameless: int) -> None:
     frames = frames_of([flat(), *pair()])
-    frames[1] = replace(frames[1], frame_id="")
+    frames[nameless] = replace(frames[nameless], frame_id="")
     outcome = calibrate_frames(frames, Settings(BOARD, views=3, select=select))
     assert used(outcome) == [0, 1, 2]
     assert outcome.calibration.verdict.reasons == ()

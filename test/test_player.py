@@ -393,6 +393,8 @@ def test_what_is_no_recording_is_refused(
     assert "images, not a recording" in capsys.readouterr().err
     assert main(["play", str(write_mcap(tmp_path, [Odd("/a", 1, "gripper_msgs/msg/Force", ())]))]) == 2
     assert "No topic can be played" in capsys.readouterr().err
+    assert main(["play", str(write_mcap(tmp_path, []))]) == 2
+    assert "holds no messages; record it again" in capsys.readouterr().err
 
 
 @needs_ros

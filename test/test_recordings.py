@@ -366,6 +366,15 @@ def test_a_file_without_permission_ends_in_one_sentence(tmp_path: Path) -> None:
         open_frames([bag])
 
 
+def test_files_that_other_systems_hide_beside_the_images_are_none(tmp_path: Path) -> None:
+    for name in ("1.png", "2.png"):
+        cv2.imwrite(str(tmp_path / name), np.zeros((8, 8), np.uint8))
+        (tmp_path / f"._{name}").write_bytes(bytes(100))
+    frames = open_frames([tmp_path])
+    assert len(list(frames)) == 2
+    assert not frames.warnings
+
+
 def test_images_have_no_info(tmp_path: Path) -> None:
     (tmp_path / "1.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     with pytest.raises(RecordingError, match="holds images"):

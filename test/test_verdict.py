@@ -251,6 +251,12 @@ def test_thresholds_are_numbers(wrong: object) -> None:
     assert judge(SOUND, Thresholds(focal_std=float("inf"))).usable
 
 
+@pytest.mark.parametrize("share", [0, -0.01])
+def test_a_focal_length_is_never_known_better_than_exactly(share: float) -> None:
+    with pytest.raises(InvalidInput, match="share of the focal length above zero, not"):
+        Thresholds(focal_std=share)
+
+
 def test_outside_is_measured_from_the_border_of_the_outermost_pixels() -> None:
     inside = np.array([[0.0, 0.0], [99.0, 49.0]])
     assert outside(inside, (100, 50)) == pytest.approx(-0.5)

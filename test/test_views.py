@@ -185,6 +185,14 @@ def test_the_axes_of_a_plane_are_those_of_the_board_whatever_part_is_seen(
         np.testing.assert_allclose(plane.T, axes, atol=1e-12)
 
 
+def test_a_view_says_where_and_when_it_was_taken() -> None:
+    pixels = BOARD.points[:, :2]
+    assert View(BOARD.points, pixels, stamp_ns=np.int64(5)).stamp_ns == 5  # type: ignore[arg-type]
+    for wrong in ({"stamp_ns": "now"}, {"stamp_ns": 1.5}, {"source": None}, {"source": 3}):
+        with pytest.raises(InvalidInput, match=f"{next(iter(wrong))} must be a"):
+            View(BOARD.points, pixels, **wrong)  # type: ignore[arg-type]
+
+
 def test_as_many_points_as_a_dense_pattern_has_are_no_burden() -> None:
     pixels = np.random.default_rng(1).uniform(0, 1, (50_000, 2))
     upright = np.column_stack([pixels[:, 0], np.zeros(len(pixels)), pixels[:, 1]])

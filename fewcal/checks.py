@@ -117,8 +117,9 @@ def checked_size(image_size: tuple[int, int]) -> tuple[int, int]:
     try:
         width, height = (operator.index(length) for length in image_size)
     except (TypeError, ValueError):
+        given = reprlib.repr(image_size)
         raise InvalidInput(
-            f"image_size must be (width, height) in pixels, not {reprlib.repr(image_size)}; give whole numbers."
+            f"image_size must be (width, height) in pixels, not {given}; give whole numbers."
         ) from None
     if width < 1 or height < 1:
         raise InvalidInput(f"image_size must be positive, not {width}x{height}.")

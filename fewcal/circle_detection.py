@@ -270,6 +270,6 @@ def _not_found(grey: GreyImage, lattice: Array, pattern: Pattern) -> BoardNotFou
         )
     return BoardNotFound(
         "wrong size",
-        f"Found a grid of {count} circles that is not the one of {asked} asked for; give the columns and "
-        "rows of the board that is shown, and show it uncovered and sharp.",
+        f"Found a grid of {count} circles that is not the one of {asked} asked for; give kind (circles or "
+        "acircles), columns and rows of the board that is shown, and show it uncovered and sharp.",
     )

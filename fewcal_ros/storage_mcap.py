@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -89,16 +89,25 @@ class McapStorage:
             yield from until_damage(self._walk_records(file, size, skip), self.damage)
 
     def _walk_records(self, file: BinaryIO, size: int, skip: frozenset[int]) -> Iterator[_Message]:
-        for opcode, start, length in _records(file, size):
+        known = self._chunk_starts
+        for opcode, start, length in _records(file, size, known):
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return
-            whole = start + length <= size
+            whole, end = start + length <= size, min(start + length, size)
+            if not whole and (following := [begin for begin in known if begin > start]):
+                self.damage.places += 1
+                end = following[0]
             if opcode == Opcode.CHUNK:
                 if start not in skip:
-                    yield from self._chunk(file.read(min(length, size - start)), whole)
+                    yield from self._chunk(file.read(end - start), whole)
             elif whole:
                 yield from self._record(opcode, file, length)
         self.damage.cut_off = True  # a file that was closed has a footer
+
+    @property
+    def _chunk_starts(self) -> list[int]:
+        """Where the index says that chunks begin."""
+        return sorted(chunk.chunk_start_offset for chunk in self._index.chunks) if self._index else []
 
     def _chunk(self, record: bytes, whole: bool) -> Iterator[_Message]:
         """Messages of a chunk; of one that was cut off, those before the cut."""
@@ -155,14 +164,20 @@ class McapStorage:
         return _Index(statistics, [record for record in records if isinstance(record, ChunkIndex)])
 
 
-def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and length of each record, the stream placed at its start; the last may be cut off."""
+def _records(stream: BinaryIO, size: int, known: Sequence[int] = ()) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and length of each record, the stream placed at its start; the last may be cut off.
+
+    After one that reaches beyond the end it goes on where the next is `known` to begin, if it is.
+    """
     position = stream.tell()
     while position + _RECORD_HEAD.size <= size:
         stream.seek(position)
         opcode, length = _RECORD_HEAD.unpack(stream.read(_RECORD_HEAD.size))
-        yield opcode, position + _RECORD_HEAD.size, length
-        position += _RECORD_HEAD.size + length
+        start = position + _RECORD_HEAD.size
+        yield opcode, start, length
+        position = start + length
+        if position > size:
+            position = next((begin for begin in known if begin > start), position)
 
 
 def _summary_section(path: Path) -> bytes:

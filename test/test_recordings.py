@@ -19,6 +19,7 @@ import pytest
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from write_recordings import (
     FORMATS,
     IMAGE,
@@ -333,6 +334,22 @@ def test_what_is_no_recording_ends_in_one_sentence(tmp_path: Path) -> None:
         assert sentence.endswith("."), name
         assert "\n" not in sentence, name
         assert name.partition("/")[2] in sentence, name
+
+
+@pytest.mark.parametrize("chunk", [0, 1])
+def test_an_mcap_with_a_spoilt_length_is_read_on_where_its_index_says(tmp_path: Path, chunk: int) -> None:
+    bag = FORMATS["mcap zstd"](tmp_path, [image(index) for index in range(COUNT)])
+    assert surviving(bag) == (list(range(COUNT)), [])
+    with bag.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    length = summary.chunk_indexes[chunk].chunk_start_offset + 1
+    data = bytearray(bag.read_bytes())
+    data[length : length + 8] = b"\xff" * 8
+    bag.write_bytes(data)
+    found, (warning,) = surviving(bag)
+    assert found == list(range(COUNT))
+    assert f"is damaged in 1 place; the {COUNT} frames that can be read are used" in warning
 
 
 @pytest.mark.parametrize("beginning", [b"", b"\x50\x2a\x4d\x18" + bytes([3, 0, 0, 0]) + b"abc"])

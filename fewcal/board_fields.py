@@ -27,6 +27,8 @@ def match_form(pattern: str, text: str, form: str) -> re.Match[str]:
 def read_number(match: re.Match[str], name: str, form: str, what: str = "a length in metres") -> float:
     """Read the number in the group `name` of a match."""
     try:
+        if "_" in match[name]:  # Python's own way of grouping digits
+            raise ValueError
         return float(match[name])
     except ValueError:
         raise InvalidInput(f"{match[name]!r} in {match.string!r} is not {what}; write {form}.") from None

@@ -263,7 +263,7 @@ def _odd_view(view_rms: Array) -> str:
 def _doubts(evidence: Evidence, thresholds: Thresholds, misfits: bool) -> Iterator[str]:
     if evidence.focal_std is None:
         yield 'The method "zhang" has no error bars, so nothing says how well the camera is known; use "map".'
-    elif evidence.focal_std > thresholds.focal_std:
+    elif not evidence.focal_std <= thresholds.focal_std:  # nor where rounding has left no number
         asked = f"{100 * thresholds.focal_std:.6g}"
         known = f"known to {_beyond(100 * evidence.focal_std, float(asked))} % only"
         # Where points do not belong there, more views are no remedy.

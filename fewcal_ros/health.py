@@ -24,10 +24,11 @@ def focal_text(calibration: Calibration | None) -> str:
     """The focal length with its error bar, as half a sentence."""
     if calibration is None:
         return "the focal length is not known yet"
-    focal = calibration.focal_std
-    if focal is None or not math.isfinite(focal):
+    focal, f = calibration.focal_std, calibration.camera.fx
+    if focal is None:
+        return f"f = {f:.1f} px, without an error bar"
+    if not math.isfinite(focal):
         return "the focal length is not determined yet"
-    f = calibration.camera.fx
     return f"f = {f:.1f} +- {focal * f:.1f} px ({100 * focal:.2g} %, one sigma)"
 
 

@@ -315,14 +315,21 @@ class CalibrationNode(Node):  # type: ignore[misc]  # rclpy is not installed whe
         try:
             path = parameters.save_path
         except OSError as error:
-            raise Refused(f"{parameters.output_path} cannot be written: {error.strerror}.") from None
+            raise Refused(
+                f"{parameters.output_path} cannot be written: {error.strerror}; change output_path."
+            ) from None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError):
             raise Refused(f"{path.parent} is no folder, or lies below a file; change output_path.") from None
         except OSError as error:
-            raise Refused(f"The folder {path.parent} cannot be made: {error.strerror}.") from None
-        write_atomically(path, camera_info_text(info))
+            raise Refused(
+                f"The folder {path.parent} cannot be made: {error.strerror}; change output_path."
+            ) from None
+        try:
+            write_atomically(path, camera_info_text(info))
+        except InvalidInput as error:
+            raise Refused(f"{str(error).removesuffix('.')}; change output_path.") from None
         return f"Saved to {path.absolute()}."
 
     def _commit(self) -> str:

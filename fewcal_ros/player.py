@@ -119,6 +119,10 @@ def choose_topics(topics: Sequence[Topic], wanted: Sequence[str]) -> dict[Topic,
         name = f"/{name.strip().lstrip('/')}"
         if remapped and not target.strip():
             raise RecordingError(f"--topic {entry} names no topic to publish on; give it as /recorded:=/new.")
+        if remapped and targets.get(name, name) not in (name, target.strip()):
+            raise RecordingError(
+                f"--topic gives {name} two names, {targets[name]} and {target.strip()}; choose one."
+            )
         targets[name] = target.strip() or name
     there = {f"/{topic.name.lstrip('/')}": topic.name for topic in topics}
     for name in targets.keys() - there.keys():

@@ -16,6 +16,9 @@ def test_a_form_is_matched_or_shown() -> None:
     word = match_form(f"{COUNTS}:(?P<size>.+)", "4x3:wide", "COLUMNSxROWS:SIZE")
     with pytest.raises(InvalidInput, match=r"'wide' in '4x3:wide' is not a length in metres; write COL"):
         read_number(word, "size", "COLUMNSxROWS:SIZE")
+    grouped = match_form(f"{COUNTS}:(?P<size>.+)", "4x3:0.02_5", "COLUMNSxROWS:SIZE")
+    with pytest.raises(InvalidInput, match=r"'0\.02_5' in '4x3:0.02_5' is not a length"):
+        read_number(grouped, "size", "COLUMNSxROWS:SIZE")
 
 
 def test_counts_are_whole_numbers() -> None:

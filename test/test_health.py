@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from scenes import SIZE, noisy, views_at
 
@@ -101,4 +102,7 @@ def test_the_focal_length_is_given_in_pixels_and_per_cent() -> None:
     f, sd = calibration.camera.fx, calibration.focal_std
     assert focal_text(calibration) == f"f = {f:.1f} +- {sd * f:.1f} px ({100 * sd:.2g} %, one sigma)"
     assert focal_text(None) == "the focal length is not known yet"
-    assert focal_text(found(method="zhang")) == "the focal length is not determined yet"
+    zhang = found(method="zhang")
+    assert focal_text(zhang) == f"f = {zhang.camera.fx:.1f} px, without an error bar"
+    unknown = replace(calibration, covariance=np.full((8, 8), np.inf))
+    assert focal_text(unknown) == "the focal length is not determined yet"

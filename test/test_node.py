@@ -388,7 +388,12 @@ class TestByServices:
         assert saved.camera.matrix.ravel().tolist() == list(infos[0].k)
         assert client.values()["hardware id"] == "wrist"
 
-        for path, reason in (("n" * 300, "File name too long"), (f"{tmp_path}/wrist.yaml/x", "no folder")):
+        for path, reason in (
+            ("n" * 300, "File name too long; change output_path."),
+            ("/proc/camera.yaml", "cannot be written: No such file or directory; change output_path."),
+            ("/proc/new/camera.yaml", "cannot be made: No such file or directory; change output_path."),
+            (f"{tmp_path}/wrist.yaml/x", "no folder"),
+        ):
             assert client.set(output_path=path).successful
             answer = client.call("save")
             assert not answer.success

@@ -419,6 +419,8 @@ def test_names_by_themselves_choose_and_renaming_does_not() -> None:
     }
     for wanted, names in chosen.items():
         assert list(player.choose_topics(topics, wanted).values()) == names
+    with pytest.raises(RecordingError, match="gives /a two names, /c and /d; choose one"):
+        player.choose_topics(topics, ["/a:=/c", "/a:=/d"])
     with pytest.raises(RecordingError, match="no topic /d"):
         player.choose_topics(topics, ["/a", "/d"])
 

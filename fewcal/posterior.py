@@ -57,7 +57,7 @@ class Posterior(NamedTuple):
         return information
 
 
-def posterior(rows: Rows, tails: Tails) -> Posterior:
+def posterior(rows: Rows, tails: Tails, normal: Array) -> Posterior:
     """What the rows of a linearisation and heavy-tailed priors leave open.
 
     Each view is reduced by its own QR decomposition to the rows that speak of the shared unknowns alone, so
@@ -67,12 +67,14 @@ def posterior(rows: Rows, tails: Tails) -> Posterior:
     ----------
     rows : Rows
     tails : Tails
+    normal : (S, S)
+        Rows of a normal distribution as wide as all of the priors together, see
+        :meth:`fewcal.prior_rows.PriorRows.normal`.
     """
     reduced = eliminate(rows).camera
     J, r = reduced[..., :-1], reduced[..., -1]
     data = J.reshape(-1, J.shape[-1])
     found = moments(data, r.ravel(), tails)
-    normal = tails.by_unknowns if tails.normal is None else tails.normal
     # Alternatives are as wide as all of them together, whichever it is in the end.
     of_one = tails.group[-len(normal) :] >= len(tails.height)
     precision = np.where(of_one, found.precision[-len(normal) :], 1.0)

@@ -229,16 +229,17 @@ class PriorRows:
         nu = np.empty(group.max() + 1)
         with np.errstate(divide="ignore"):
             nu[group] = 1 / self.tail[: len(group)]
-        return Tails(at.z[0], at.by_theta[0], group, nu, self.height, self._normal(theta, at.by_theta[0]))
+        return Tails(at.z[0], at.by_theta[0], group, nu, self.height)
 
-    def _normal(self, theta: Array, by_theta: Array) -> Array:
+    def normal(self, theta: Array) -> Array:
         """Rows (S, S) of a normal prior as wide as all of these, at one camera (S,)."""
         means, slopes = self.lenses.means(np.exp(self.corner - theta[0]))
         share = self.lenses.share
         off = means - share @ means
         covariance = np.tensordot(share, self.lenses.covariance, 1) + (share[:, None] * off).T @ off
         triangle = np.linalg.inv(np.linalg.cholesky(covariance))
-        normal = by_theta[-len(theta) :].copy()
+        unknowns = np.arange(len(theta))
+        normal = self.whiten[np.ix_(len(self.group) - _UNKNOWNS + unknowns, unknowns)]
         normal[RADIAL] = 0
         normal[4:6, 4:6], normal[4:6, 0] = triangle, -triangle @ (share @ slopes)
         return normal

@@ -44,8 +44,6 @@ class Tails(NamedTuple):
         Degrees of freedom; infinite for a normal distribution, whose precision is 1.
     height : (C,)
         Logarithm of the probability of each of the first distributions times its density at its mean.
-    normal : (S, S), optional
-        Rows of a normal distribution as wide as all of these; they themselves when left out.
     """
 
     z: Array
@@ -53,7 +51,6 @@ class Tails(NamedTuple):
     group: NDArray[np.intp]
     nu: Array
     height: Array = np.zeros(0)
-    normal: Array | None = None
 
 
 class Moments(NamedTuple):

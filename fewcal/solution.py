@@ -80,8 +80,9 @@ def map_solution(found: Estimate, alike: Copies) -> Solution:
         camera = Camera(fx, fy, cx, cy, np.append(natural[4:], 0.0))
         coefficients = from_plumb_bob(camera)
     rows = found.adjustment.rows(found.geometry, found.sigma)
-    result = posterior(rows, known.tails(found.geometry.theta[0]))
-    conflicts = np.maximum(known.distance(found.geometry.theta[0]), np.abs(result.against_prior))
+    unknowns = found.geometry.theta[0]
+    result = posterior(rows, known.tails(unknowns), known.normal(unknowns))
+    conflicts = np.maximum(known.distance(unknowns), np.abs(result.against_prior))
     left = _worst_by_name(1 - determined_share(result))
     return Solution(
         camera=camera,

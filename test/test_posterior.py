@@ -114,7 +114,7 @@ def at_the_mode(rows: Rows, nu: float) -> tuple[Rows, Tails]:
 
 def test_posterior_with_normal_priors_is_the_gaussian_one() -> None:
     rows, tails = at_the_mode(random_rows(6), np.inf)
-    found = posterior(rows, tails)
+    found = posterior(rows, tails, tails.by_unknowns)
     K = random_prior(rows)
     assert_alike(found.covariance, gaussian_covariance(rows, K), 1e-6)
     assert_alike(found.prior_covariance, inverse(K.T @ K), 1e-6)
@@ -123,7 +123,10 @@ def test_posterior_with_normal_priors_is_the_gaussian_one() -> None:
 
 def test_a_posterior_away_from_the_mode_counts_the_distance() -> None:
     rows, tails = at_the_mode(random_rows(6), np.inf)
-    off = posterior(random_rows(6), tails).covariance - posterior(rows, tails).covariance
+    off = (
+        posterior(random_rows(6), tails, tails.by_unknowns).covariance
+        - posterior(rows, tails, tails.by_unknowns).covariance
+    )
     values = np.linalg.eigvalsh(off / np.sqrt(np.outer(np.diagonal(off), np.diagonal(off))))
     np.testing.assert_allclose(values, [0] * 7 + [8], atol=1e-6)
 
@@ -131,7 +134,7 @@ def test_a_posterior_away_from_the_mode_counts_the_distance() -> None:
 def test_a_view_that_says_nothing_determines_nothing() -> None:
     rows, tails = at_the_mode(random_rows(7), 2.0)
     silent = rows._replace(by_camera=np.zeros_like(rows.by_camera), by_pose=np.zeros_like(rows.by_pose))
-    result = posterior(silent, tails)
+    result = posterior(silent, tails, tails.by_unknowns)
     assert (np.diagonal(result.covariance) > np.diagonal(result.prior_covariance)).all()
     np.testing.assert_array_equal(determined_share(result), 0)
 
@@ -150,7 +153,8 @@ def test_determined_share_is_the_variance_that_the_data_removed() -> None:
 def test_only_normal_priors_are_held_against_the_rest() -> None:
     rows = random_rows(3)
     nu = np.array([np.inf, 2, 2, 2, 2, 2, 2, 2])
-    found = posterior(rows, Tails(np.ones(8), random_prior(rows), np.arange(8), nu)).against_prior
+    tails = Tails(np.ones(8), random_prior(rows), np.arange(8), nu)
+    found = posterior(rows, tails, tails.by_unknowns).against_prior
     assert found[0] != 0
     np.testing.assert_array_equal(found[1:], 0)
 
@@ -158,12 +162,12 @@ def test_only_normal_priors_are_held_against_the_rest() -> None:
 def test_what_was_known_beforehand_counts_all_kinds_of_lenses_and_how_far_out_the_camera_lies() -> None:
     rows = random_rows(3, size=12)
     rows = rows._replace(r=np.zeros_like(rows.r))
+    known = Priors().rows(SIZE)
     found, far = (
-        posterior(rows, Priors().rows(SIZE).tails(np.array([7.0, aspect, *np.zeros(10)])))
-        for aspect in (0.0, 0.1)
+        posterior(rows, known.tails(theta), known.normal(theta))
+        for theta in (np.array([7.0, aspect, *np.zeros(10)]) for aspect in (0.0, 0.1))
     )
-    normal = Priors().rows(SIZE).tails(np.array([7.0, *np.zeros(11)])).normal
-    assert normal is not None
+    normal = known.normal(np.array([7.0, *np.zeros(11)]))
     np.testing.assert_allclose(found.prior_covariance, covariance_from_rows(normal))
     np.testing.assert_allclose(far.prior_covariance, found.prior_covariance)
     assert far.prior[1, 1] < 0.01 * found.prior[1, 1], "a t prior that has given way holds no more"
@@ -177,7 +181,8 @@ def test_an_estimate_leaves_more_open_than_its_curvature_says() -> None:
     views = stack_views(noisy(views_at((40.0, 20.0)), 0.2, 1))
     found = estimate_map(views, SIZE, Priors())
     rows = found.adjustment.rows(found.geometry, found.sigma)
-    result = posterior(rows, Priors().rows(SIZE).tails(found.geometry.theta[0]))
+    known, theta = Priors().rows(SIZE), found.geometry.theta[0]
+    result = posterior(rows, known.tails(theta), known.normal(theta))
     assert result.covariance.shape == (12, 12)
     laplace = gaussian_covariance(rows, Priors().rows(SIZE)(found.geometry.theta)[1][0])
     ratio = np.sqrt(np.diagonal(result.covariance) / np.diagonal(laplace))

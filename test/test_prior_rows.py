@@ -227,8 +227,7 @@ def test_a_centre_known_in_x_says_nothing_of_y() -> None:
 
 def test_the_normal_prior_is_as_wide_as_the_kinds_of_lenses_together() -> None:
     theta = np.array([math.log(1088), 0, 0, 0, -0.1, 0.02, 0, 0])
-    normal = Priors(log_focal_over_width=Normal(-0.16, 1e-6)).rows(SIZE).tails(theta).normal
-    assert normal is not None
+    normal = Priors(log_focal_over_width=Normal(-0.16, 1e-6)).rows(SIZE).normal(theta)
     rng = np.random.default_rng(3)
     mean = np.array([[0.012, -0.0161], [-0.294 * CORNER**1.5, 0.078 * CORNER**2]])
     drawn = [
@@ -257,6 +256,5 @@ def test_widened_t_priors_of_the_camera_are_those_of_a_larger_scale(factor: floa
 
 def test_the_normal_prior_of_one_kind_of_lenses_is_that_kind() -> None:
     theta = np.array([6.8, 0.004, 0.03, -0.02, -0.3, 0.2, 0.004, -0.001, 7e-4, -2e-4, 0.01, 3e-4])
-    tails = Priors(radial=LENSES[1:]).rows(SIZE).tails(theta)
-    assert tails.normal is not None
-    np.testing.assert_allclose(tails.normal, tails.by_unknowns, atol=1e-9)
+    known = Priors(radial=LENSES[1:]).rows(SIZE)
+    np.testing.assert_allclose(known.normal(theta), known.tails(theta).by_unknowns, atol=1e-9)

@@ -136,7 +136,8 @@ def test_a_quantity_of_two_unknowns_is_settled_as_its_worse_one_is() -> None:
     stack, alike = stack_views(views), copies(views, SIZE)
     found = estimate_map(stack, SIZE, Priors(), alike)
     rows = found.adjustment.rows(found.geometry, found.sigma)
-    share = determined_share(posterior(rows, Priors().rows(SIZE).tails(found.geometry.theta[0])))
+    known, theta = Priors().rows(SIZE), found.geometry.theta[0]
+    share = determined_share(posterior(rows, known.tails(theta), known.normal(theta)))
     settled = map_solution(found, alike).settled
     assert settled is not None
     for name, pair in (("radial distortion", share[4:6]), ("tangential distortion", share[6:8])):

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
-from .live import Refused
+from .status import Refused
 
 SERVICE = "camera/set_camera_info"
 """Where camera_info_manager offers it, beside a driver in the namespace camera."""

@@ -8,8 +8,8 @@ from enum import Enum
 
 from fewcal.calibration import Calibration
 
-from .live import Status
 from .messages import OTHER_CAMERA
+from .status import Status
 
 
 class Level(Enum):

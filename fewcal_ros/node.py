@@ -37,7 +37,7 @@ from .annotation import RESIDUAL_SCALE, Mood, annotate
 from .driver import Driver
 from .health import Level, focal_text, health_values, judge_health
 from .image_subscription import ImageSubscription
-from .live import LiveCalibration, Look, Refused, Result, Status, unexpected
+from .live import LiveCalibration
 from .messages import Frame, compressed_size, compressed_to_grey, image_to_grey, raw_size, stamp_ns
 from .news import News
 from .outgoing import (
@@ -50,6 +50,7 @@ from .outgoing import (
 from .parameters import declare_parameters, warn_of_unknown
 from .signals import until_signal
 from .spinning import ENDED, run
+from .status import Look, Refused, Result, Status, unexpected
 
 BAD_INPUT = 2
 """Exit code when a parameter or argument cannot be used."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from fewcal.boards import Board
 from fewcal.calibration import Calibration, calibrate
@@ -151,10 +152,19 @@ def _satisfied(session: Session) -> bool:
     return calibration.verdict.usable or calibration.covariance is None
 
 
-def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome:
-    """Find every good view, then keep the subset that leaves the least uncertainty."""
+class _Looked(NamedTuple):
+    """What all frames showed: good views, those that are good but for motion, and the counts."""
+
+    good: dict[_Kind, list[View]]
+    moving: dict[_Kind, list[View]]
+    rejected: Counter[str]
+    read: int
+    with_board: int
+
+
+def _look_at_all(frames: Iterable[Frame], board: Board, fates: _Fates) -> _Looked:
     # Of each camera on the topic, so that motion is that between images of one.
-    looks = defaultdict[str, FrameFilter](lambda: FrameFilter(settings.board))
+    looks = defaultdict[str, FrameFilter](lambda: FrameFilter(board))
     good: dict[_Kind, list[View]] = {}
     moving: dict[_Kind, list[View]] = {}
     frame_id = ""
@@ -168,6 +178,14 @@ def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome
         elif decision.reason == "moving" and decision.detection is not None:
             moving.setdefault(kind, []).append(decision.detection.view)
     rejected = sum((look.rejected for look in looks.values()), Counter[str]())
+    read = sum(look.read for look in looks.values())
+    with_board = sum(look.with_board for look in looks.values())
+    return _Looked(good, moving, rejected, read, with_board)
+
+
+def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome:
+    """Find every good view, then keep the subset that leaves the least uncertainty."""
+    good, moving, rejected, read, with_board = _look_at_all(frames, settings.board, fates)
     if max(map(len, good.values()), default=0) < min(settings.views or 1, PAIR) and moving:
         # A board that is never held still, but sharp all the same, is better than no answer. The first frame
         # has none before it, and counts as still whether it is or not.
@@ -203,8 +221,6 @@ def _best(frames: Iterable[Frame], settings: Settings, fates: _Fates) -> Outcome
             f"{which if len(chosen) > 1 else 'The view is'} of a board in motion, which a rolling shutter "
             "distorts; hold it still for half a second at each pose.",
         )
-    read = sum(look.read for look in looks.values())
-    with_board = sum(look.with_board for look in looks.values())
     return Outcome(calibration, read, with_board, +rejected)
 
 

@@ -12,8 +12,8 @@ from scenes import SIZE, noisy, views_at
 from fewcal.calibration import Calibration, calibrate
 from fewcal.frame_filter import Decision
 from fewcal_ros.health import Level, focal_text, health_values, judge_health
-from fewcal_ros.live import Look, Result, Status
 from fewcal_ros.parameters import Parameters
+from fewcal_ros.status import Look, Result, Status
 from fewcal_ros.stream import ImageStream
 
 PLANES = ((40, 30), (35, 120))

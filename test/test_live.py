@@ -16,9 +16,10 @@ import fewcal_ros.live
 from fewcal.errors import FewcalError, InvalidInput
 from fewcal.session import Session
 from fewcal_ros.health import Level, health_values, judge_health
-from fewcal_ros.live import LiveCalibration, Look, Refused
+from fewcal_ros.live import LiveCalibration
 from fewcal_ros.messages import Frame
 from fewcal_ros.parameters import Parameters
+from fewcal_ros.status import Look, Refused
 
 TIMEOUT_S = 60
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from .adjustment import Rows
 from .camera import Camera, project_jacobians
 from .elimination import eliminate
-from .scale_mixture import Tails, moments
+from .scale_mixture import moments
+from .tails import Tails
 from .variational import contradictions
 
 Array = NDArray[np.float64]

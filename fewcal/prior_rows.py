@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .departures import COUNT
 from .least_squares import diagonal
 from .radial_prior import GROWTH, WIDEST, Lenses, RadialPrior, powers
-from .scale_mixture import Tails
+from .tails import Tails
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .scale_mixture import Tails, moments, whitened
+from .scale_mixture import moments, whitened
+from .tails import Tails, expected_precisions
 
 Array = NDArray[np.float64]
 
@@ -80,7 +81,7 @@ def middle(
         None where nothing holds an unknown, or rounding decides.
     """
     expected = tails.z**2 if squares is None else squares
-    precisions = _precisions(tails)
+    precisions = expected_precisions(tails)
     first = precisions(expected)
     near = np.sqrt(first)
     _, inverse, y = whitened(
@@ -150,23 +151,3 @@ def contradictions(J: Array, r: Array, tails: Tails, covariance: Array) -> Array
             variance = float(by_unknowns @ moments(J, r + J @ without.step, at).covariance @ by_unknowns)
             found[row] = z / math.sqrt(1 + variance) if variance >= 0 else 0.0
     return found
-
-
-def _precisions(tails: Tails) -> Callable[[Array], Array]:
-    """Expected precision (K,) of each row of the priors, for the expected squares (K,) of their z."""
-    group, tail = tails.group, 1 / tails.nu
-    size = np.bincount(group)
-    factor, own = 1 + size * tail, slice(len(tails.height))
-    half = (tails.nu[own] + size[own]) / 2
-
-    def precisions(squares: Array) -> Array:
-        q = np.bincount(group, squares) * tail
-        precision = factor / (1 + q)
-        if len(half) > 1:
-            log_share = tails.height - half * np.log1p(q[own])
-            share = np.exp(log_share - log_share.max())
-            precision[own] *= share / share.sum()
-        found: Array = precision[group]
-        return found
-
-    return precisions

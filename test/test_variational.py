@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from fewcal.scale_mixture import Tails
+from fewcal.tails import Tails
 from fewcal.variational import Middle, contradictions, middle
 
 Array = NDArray[np.float64]

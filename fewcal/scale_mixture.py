@@ -33,7 +33,7 @@ class Moments(NamedTuple):
     covariance : (S, S)
         About the estimate rather than about the mean, so that it is the error of the estimate that it tells.
         Along each of its axes the standard deviation is the mean of order :data:`ORDER` of those of all
-        parts; infinite where nothing holds an unknown.
+        parts; infinite where nothing holds an unknown, or rounding has left none.
     precision : (K,)
         Mean precision of each row of the priors.
     """
@@ -42,6 +42,7 @@ class Moments(NamedTuple):
     precision: Array
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def moments(J: Array, r: Array, tails: Tails) -> Moments:
     """Average over the precisions of the priors.
 

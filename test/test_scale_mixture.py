@@ -136,3 +136,11 @@ def test_many_matrices_are_inverted_at_once(size: int) -> None:
 def test_columns_that_depend_on_each_other_have_no_inverse() -> None:
     J = np.array([[1.0, 2.0], [2.0, 4.0], [-1.0, -2.0]])
     assert np.isinf(whitened(J, np.zeros(3))[1]).all()
+
+
+def test_a_camera_beyond_all_cameras_is_infinitely_uncertain() -> None:
+    # The estimate lies where no prior holds, and the data do not say that it does.
+    z = np.array([1e14, -1e11, 3.0])
+    tails = Tails(z, np.array([[1e14, 1e9, 0], [1e9, 1e3, 1], [1, 1, 1.0]]), np.arange(3), np.full(3, 1.5))
+    found = moments(np.full((4, 3), 1e-9), np.zeros(4), tails)
+    assert np.isinf(found.covariance).all()

@@ -7,7 +7,7 @@ are data. Were those of all other priors known, its density would be that of
 
 with m its difference from a reference, S and z the covariance and the mean of its rows there. Each is drawn
 from this density, tabulated, with the others at the reference; the weights of the draws make up for the
-difference, which is slight: a hundred draws are worth as much as ninety of the posterior itself.
+difference, which is slight: of real cameras a hundred draws are worth as much as eighty of the posterior.
 """
 
 from __future__ import annotations
@@ -35,8 +35,6 @@ SPARED = 0.1
 LOWEST = -23.0
 """Logarithm of the lowest precision over that at the estimate or 1; a prior 1e5 times as wide says nothing
 more."""
-ALMOST_NONE = 1e-9
-"""Share of its precision that is left to an alternative that does not hold."""
 
 
 class Draws(NamedTuple):
@@ -67,12 +65,8 @@ def draw(tails: Tails, z: Array, covariance: Array, reference: Array) -> Draws:
     reference : (K,)
         Precision of each row.
     """
-    group, kinds = tails.group, len(tails.height)
-    log_evidence = np.zeros(kinds)
-    if kinds > 1:
-        z, covariance, log_evidence = _each_alone(tails, z, covariance, reference)
-    heavy = np.isfinite(tails.nu)
-    nu, size = tails.nu[heavy], np.bincount(group)[heavy]
+    kinds, heavy = len(tails.height), np.isfinite(tails.nu)
+    nu, size = tails.nu[heavy], np.bincount(tails.group)[heavy]
     table = _tabulated(tails, z, covariance, reference, heavy)
     points = _even_points(DRAWS, len(nu) + 1)
     logarithm, log_density = table.draw(points[:, :-1])
@@ -82,39 +76,13 @@ def draw(tails: Tails, z: Array, covariance: Array, reference: Array) -> Draws:
     if kinds > 1:
         own = slice(kinds)
         constant = tails.height + nu[own] / 2 * np.log(nu[own] / 2) - _log_gamma(nu[own] / 2)
-        log_evidence = log_evidence + constant + table.log_evidence[own]
+        log_evidence = constant + table.log_evidence[own]
         likely = np.exp(log_evidence - log_evidence.max())
         chance = SPARED / kinds + (1 - SPARED) * likely / likely.sum()
         holds = np.searchsorted(np.cumsum(chance)[:-1], points[:, -1])[:, None] == np.arange(kinds)
         precision[:, own] *= holds
         log_weight[:, own] = np.where(holds, log_weight[:, own] + constant - np.log(chance), 0.0)
     return Draws(precision, log_weight.sum(axis=1))
-
-
-def _each_alone(tails: Tails, z: Array, covariance: Array, reference: Array) -> tuple[Array, Array, Array]:
-    """What the data say of each alternative where the others do not hold.
-
-    Returns
-    -------
-    z : (K,), covariance : (K, K)
-        As they were, but those of the alternatives.
-    log_evidence : (C,)
-        For each, over that of the reference.
-    """
-    alternatives = np.arange(len(tails.height))
-    rows = np.flatnonzero(tails.group < len(alternatives))
-    own = tails.group[rows] == alternatives[:, None]
-    block = np.ix_(rows, rows)
-    # Nearly all of the others' precision: without any of it the data may leave their unknowns open.
-    less = np.where(own, 0.0, (ALMOST_NONE - 1) * reference[rows])
-    matrices = np.eye(len(rows)) + covariance[block] * less[:, None]
-    right = np.column_stack([covariance[block], z[rows]])[None]
-    found = np.asarray(np.linalg.solve(matrices, right), dtype=np.float64)
-    exponent = (less * z[rows] * found[..., -1]).sum(axis=1)
-    z, covariance = z.copy(), covariance.copy()
-    z[rows] = (found[..., -1] * own).sum(axis=0)
-    covariance[block] = (found[..., :-1] * (own[:, :, None] & own[:, None])).sum(axis=0)
-    return z, covariance, -0.5 * (np.linalg.slogdet(matrices)[1] + exponent)
 
 
 class _Table(NamedTuple):

@@ -8,7 +8,7 @@ from scipy.stats import gamma, qmc
 
 from fewcal import precision_draws
 from fewcal.calibration import calibrate
-from fewcal.precision_draws import DRAWS, _even_points, draw
+from fewcal.precision_draws import DRAWS, Draws, _even_points, draw
 from fewcal.tails import Tails, expected_precisions
 
 Array = NDArray[np.float64]
@@ -23,13 +23,20 @@ def test_points_are_evenly_spread(dimension: int) -> None:
     assert qmc.discrepancy(points) < 0.7 * qmc.discrepancy(random)
 
 
-def likelihood(precision: Array, z: Array, covariance: Array, reference: float) -> Array:
-    """Logarithm of that of precisions (M,) of the rows of one prior, over that of the reference."""
-    more = (precision - reference)[:, None, None]
-    A = np.eye(len(z)) + more * covariance
+def likelihood(precision: Array, z: Array, covariance: Array, reference: Array) -> Array:
+    """Logarithm of that of precisions (M, K) of the rows of priors, over that of the reference (K,)."""
+    more = precision - reference
+    A = np.eye(len(z)) + covariance * more[:, None]
     left = np.linalg.solve(A, np.broadcast_to(z[:, None], (len(A), len(z), 1)))[..., 0]
-    found: Array = -0.5 * (np.linalg.slogdet(A)[1] + more[:, 0, 0] * (left @ z))
+    found: Array = -0.5 * (np.linalg.slogdet(A)[1] + (more * z * left).sum(axis=1))
     return found
+
+
+def weights(found: Draws, tails: Tails, z: Array, covariance: Array, reference: Array) -> Array:
+    """Of the draws, (M,), which sum to 1."""
+    logarithm = found.log_weight + likelihood(found.precision[:, tails.group], z, covariance, reference)
+    weight = np.exp(logarithm - logarithm.max())
+    return weight / weight.sum()
 
 
 @pytest.mark.parametrize("nu", [0.9, 2.0, 30.0, 1000.0])
@@ -41,6 +48,8 @@ def likelihood(precision: Array, z: Array, covariance: Array, reference: float) 
         ((6.0,), (0.1,)),
         ((0.5, -1.0), (0.2, 3.0)),
         ((-9.0, 2.0), (1.0, 0.1)),
+        ((1.0, 1.0), (0.8, 1.0)),
+        ((30.0,), (0.1,)),
     ],
 )
 def test_of_one_prior_the_draws_are_as_good_as_of_the_posterior(
@@ -56,14 +65,12 @@ def test_of_one_prior_the_draws_are_as_good_as_of_the_posterior(
     mean = covariance @ information @ tails.z
     found = draw(tails, mean, covariance, reference)
     precision = found.precision[:, 0]
-    log_weight = found.log_weight + likelihood(precision, mean, covariance, reference[0])
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
-    assert 1 / (weight @ weight) > 0.85 * DRAWS
+    weight = weights(found, tails, mean, covariance, reference)
+    assert 1 / (weight @ weight) > 0.88 * DRAWS
     # By quadrature over the logarithm of the precision.
     each = np.exp(np.linspace(-40, 8, 100_001))
     density = gamma.pdf(each, nu / 2, scale=2 / nu) * each ** (1 + rows / 2)
-    density *= np.exp(likelihood(each, mean, covariance, reference[0]))
+    density *= np.exp(likelihood(each[:, None].repeat(rows, axis=1), mean, covariance, reference))
     for power in (1.0, 0.5, -0.2):
         expected = (density * each**power).sum() / density.sum()
         assert weight @ precision**power == pytest.approx(expected, rel=0.02)
@@ -83,6 +90,24 @@ def test_alternatives_are_drawn_as_often_as_the_data_make_them_likely() -> None:
     assert often.sum() == 1, "one of them holds"
     assert often[0] > 0.04, "the other one is not left out"
     assert often[1] > 0.5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_of_alternatives_the_draws_are_nearly_as_good_as_of_the_posterior(seed: int) -> None:
+    # Two bivariate t of the same two unknowns, about which the data say about as much as they do.
+    rng = np.random.default_rng(seed)
+    scale = np.array([0.4, 1.5])
+    by_unknowns = np.repeat(1 / scale, 2)[:, None] * np.tile(np.eye(2), (2, 1))
+    z = by_unknowns @ rng.normal(size=2) + np.array([0.0, 0.0, 1.5, -1.5])
+    tails = Tails(z, by_unknowns, np.array([0, 0, 1, 1]), np.array([1.5, 3.0]), -2 * np.log(scale))
+    reference = expected_precisions(tails)(z**2)
+    half = rng.normal(size=(2, 2))
+    information = half @ half.T + 0.3 * np.eye(2)
+    covariance = np.linalg.inv(information + by_unknowns.T @ (reference[:, None] * by_unknowns))
+    mean = z - by_unknowns @ covariance @ by_unknowns.T @ (reference * z)
+    of_rows = by_unknowns @ covariance @ by_unknowns.T
+    weight = weights(draw(tails, mean, of_rows, reference), tails, mean, of_rows, reference)
+    assert 1 / (weight @ weight) > 0.8 * DRAWS
 
 
 def test_a_prior_that_gave_way_at_the_estimate_holds_where_the_data_do_not() -> None:

@@ -115,7 +115,7 @@ class _Table(NamedTuple):
         cell = np.clip(cell, 0, CELLS - 1)
         left, right = self.density[cell, columns], self.density[cell + 1, columns]
         doubled = points * whole - below[cell, columns]
-        here = np.sqrt(np.maximum(left * left + (right - left) * doubled, 0))
+        here = np.sqrt(np.maximum(left * left + (right - left) * doubled, 1e-60))
         logarithm = self.low + self.step * (cell + doubled / (left + here))
         return logarithm, np.log(2 * here / (whole * self.step))
 

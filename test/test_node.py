@@ -259,6 +259,25 @@ class TestByItself:
         wait_until(lambda: right <= heard(), "camera_info")
         assert heard() == right
 
+    def test_images_without_a_stamp_have_the_time_of_their_arrival(self, cell):
+        cell.start_node(image_transport="compressed")
+        client = cell.client
+        latched = client.camera_info()
+        camera = client.node.create_publisher(CompressedImage, "/image/compressed", 10)
+        with open_frames([BAGS / "wrist.bag"]) as frames:
+            pictures = [cv2.imencode(".jpg", frame.image)[1].tobytes() for frame in frames]
+
+        def publish(index, **expected):
+            camera.publish(CompressedImage(format="jpeg", data=pictures[index]))
+            time.sleep(0.05)
+            return expected.items() <= client.values().items()
+
+        start = time.time()
+        wait_until(lambda: publish(STILL[3], views="1"), "a view")
+        wait_until(lambda: publish(STILL[6], level="OK"), "a camera")
+        stamp = wait_until(lambda: latched, "camera_info")[0].header.stamp
+        assert start - 1 < stamp.sec <= time.time()
+
     def test_camera_info_is_for_images_of_the_frame_of_the_views_and_names_the_one_asked_for(self, cell):
         cell.start_node(image_transport="compressed", publish_camera_info=True)
         client, stamp = cell.client, 0

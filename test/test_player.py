@@ -328,6 +328,18 @@ def test_a_loop_begins_anew_with_the_same_stamps_until_it_is_ended(
 
 
 @needs_ros
+def test_damage_is_told_in_the_first_round_of_a_loop(tmp_path: Path, listener: Listener) -> None:
+    bag = FORMATS["mcap zstd"](tmp_path, [image(i) for i in range(IMAGES)])
+    bag.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
+    listener.subscribe(TOPIC, Image)
+    with playing(bag, "--loop", "--rate", "10") as process:
+        eventually(lambda: len(listener.messages()) >= 3 * IMAGES)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=TIMEOUT_S)
+    assert err.count("run.mcap is cut off or damaged after") == 1
+
+
+@needs_ros
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("heard", [True, False])
 def test_a_signal_ends_it_in_two_seconds_with_exit_code_0(
@@ -423,6 +435,19 @@ def test_names_by_themselves_choose_and_renaming_does_not() -> None:
         player.choose_topics(topics, ["/a:=/c", "/a:=/d"])
     with pytest.raises(RecordingError, match="no topic /d"):
         player.choose_topics(topics, ["/a", "/d"])
+
+
+@needs_ros
+def test_messages_that_come_late_are_told(
+    tmp_path: Path, domain: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(player, "SUBSCRIBER_WAIT_S", 0.0)
+    monkeypatch.setattr(player, "_NOTABLE_S", 0.0)  # no machine publishes at once
+    bag = write_mcap(tmp_path, [replace(image(i), log_time_ns=START_NS) for i in range(IMAGES)])
+    told: list[str] = []
+    assert player.play(bag, player.Playback(), told.append) == IMAGES
+    assert told[-1].startswith("Messages were up to 0.")
+    assert told[-1].endswith("play with a lower --rate.")
 
 
 @needs_ros

@@ -285,6 +285,17 @@ def test_what_is_not_installed_or_damaged_is_left_out_and_told(tmp_path: Path, l
 
 
 @needs_ros
+def test_a_recording_of_which_nothing_can_be_read_is_not_played_in_circles(
+    tmp_path: Path, listener: Listener
+) -> None:
+    bag = write_mcap(tmp_path, [Odd(TOPIC, START_NS + i, IMAGE, ()) for i in range(3)])
+    listener.subscribe(TOPIC, Image)
+    done = played(bag, "--loop")
+    assert done.returncode == 2
+    assert done.stderr.endswith("No message on the chosen topics can be published; record them again.\n")
+
+
+@needs_ros
 def test_a_topic_has_one_type(tmp_path: Path, listener: Listener) -> None:
     bag = write_mcap(tmp_path, [image(0), text(1), image(2)])
     listener.subscribe("/both", Image)

@@ -4,9 +4,9 @@
 
 `--trials` calibrations for each scenario and tilt of the board, from one view or up to five, near and far;
 then a table of how many truths lay within 1, 2 and 3 reported standard deviations (.68, .95 and 1.00 if the
-bars are honest), for fx, cx, cy, k1, for a random pixel (`Calibration.projection_std`) and for the same
-pixel after the best rotation; then how often the verdict names a degenerate arrangement of views. The models
-of cameras and errors stand in synthetic.py. `--out` writes every draw (coverage.csv), `--plots`
+bars are honest), for fx, cx, cy, k1, p1, p2, for a random pixel (`Calibration.projection_std`) and for the
+same pixel after the best rotation; then how often the verdict names a degenerate arrangement of views. The
+models of cameras and errors stand in synthetic.py. `--out` writes every draw (coverage.csv), `--plots`
 draws the shares over the tilt, which needs matplotlib.
 """
 
@@ -99,7 +99,7 @@ def plot(draws: Sequence[Draw], folder: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(2, 3, figsize=(12, 7), sharex=True, sharey=True, layout="constrained")
+    figure, axes = plt.subplots(2, 4, figsize=(15, 7), sharex=True, sharey=True, layout="constrained")
     for axis, quantity in zip(axes.ravel(), QUANTITIES, strict=True):
         for goal, slack in ((0.68, 0.05), (0.95, 0.03)):
             axis.axhspan(goal - slack, goal + slack, color="0.9")

@@ -28,7 +28,7 @@ SCENARIOS: dict[str, tuple[str, float]] = {
     "assumed x3": ("assumed", 3.0),
 }
 """Model of the errors, and how many times as wide as the prior principal point and aspect are drawn."""
-QUANTITIES = ("fx", "cx", "cy", "k1", "pixel", "turned")
+QUANTITIES = ("fx", "cx", "cy", "k1", "p1", "p2", "pixel", "turned")
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Draw:
     ----------
     scenario, tilt_deg, views, distance
         What was drawn.
-    fx, cx, cy, k1, pixel, turned : float
+    fx, cx, cy, k1, p1, p2, pixel, turned : float
         Error over reported standard deviation; infinite without an answer.
     focal_error, focal_std : float
         Of ln fx, and relative.
@@ -56,6 +56,8 @@ class Draw:
     cx: float = np.inf
     cy: float = np.inf
     k1: float = np.inf
+    p1: float = np.inf
+    p2: float = np.inf
     pixel: float = np.inf
     turned: float = np.inf
     focal_error: float = np.inf
@@ -97,7 +99,8 @@ def compare(found: fewcal.Calibration, scene: Scene, rng: np.random.Generator) -
     assert focal_std is not None
     truth = scene.camera
     errors = {name: getattr(found.camera, name) - getattr(truth, name) for name in ("fx", "cx", "cy")}
-    errors["k1"] = float(found.camera.distortion[0] - truth.distortion[0])
+    distortion = found.camera.distortion - truth.distortion
+    errors |= {name: float(distortion[i]) for name, i in (("k1", 0), ("p1", 2), ("p2", 3))}
     scores = [error / std[name] for name, error in errors.items()]
     pixel = rng.uniform(0, 1, 2) * (np.array(scene.size) - 1)
     scores += [fixed_score(found.camera, covariance, truth, pixel)]

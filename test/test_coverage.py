@@ -116,9 +116,13 @@ def test_scores_count_reported_deviations() -> None:
     assert found.covariance is not None
     told = compare(found, replace(scene, camera=camera), np.random.default_rng(0))
     assert told[:7] == pytest.approx([0.0] * 7, abs=1e-6)
-    other = replace(camera, fx=camera.fx - 2 * std["fx"], cx=camera.cx + 3 * std["cx"])
+    tangential = np.array([0, 0, -std["p1"], 2 * std["p2"], 0])
+    other = replace(
+        camera, fx=camera.fx - 2 * std["fx"], cx=camera.cx + 3 * std["cx"],
+        distortion=camera.distortion + tangential,
+    )  # fmt: skip
     told = compare(found, replace(scene, camera=other), np.random.default_rng(0))
-    assert told[:4] == pytest.approx([2.0, -3.0, 0.0, 0.0], abs=1e-9)
+    assert told[:6] == pytest.approx([2.0, -3.0, 0.0, 0.0, 1.0, -2.0], abs=1e-9)
     # A rotation takes over most of a shift of the principal point.
     shifted = replace(camera, cx=camera.cx + 5.0)
     error = turned_errors(camera, shifted, scene.size)[1]

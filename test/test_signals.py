@@ -34,6 +34,7 @@ def test_the_handlers_are_those_of_before_afterwards():
         assert signal.getsignal(signal.SIGTERM) != before[1]
         assert not wait(0)
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+    assert signal.set_wakeup_fd(-1) == -1
 
 
 def test_a_time_far_ahead_can_be_waited_for():

@@ -72,5 +72,4 @@ class Mailbox:
         """Let whoever waits go; what is in the box stays unread."""
         with self._changed:
             self._closed = True
-            self._letters.clear()
             self._changed.notify_all()

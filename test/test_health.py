@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scenes import SIZE, noisy, views_at
 from fewcal.calibration import Calibration, calibrate
 from fewcal.frame_filter import Decision
 from fewcal_ros.health import Level, focal_text, health_values, judge_health
+from fewcal_ros.messages import OTHER_CAMERA, Frame
 from fewcal_ros.parameters import Parameters
 from fewcal_ros.status import Look, Result, Status
 from fewcal_ros.stream import ImageStream
@@ -21,6 +23,15 @@ PLANES = ((40, 30), (35, 120))
 
 def found(seed: int = 1, method: str = "map") -> Calibration:
     return calibrate(noisy(views_at(*PLANES), 0.1, seed), SIZE, method)
+
+
+def stream_of(*sizes: tuple[int, int]) -> ImageStream:
+    """What is known of a stream of images of these sizes."""
+    stream = ImageStream()
+    for width, height in sizes:
+        image = np.zeros((height, width), np.uint8)
+        stream.note(SimpleNamespace(encoding="mono8"), Frame(image, None, "camera", "a test"))
+    return stream
 
 
 @pytest.fixture
@@ -94,6 +105,47 @@ def test_other_views_than_those_of_the_calibration_are_told_however_many_they_ar
     level, sentence = judge_health(replace(status, views=found(2).views))
     assert level is Level.WARN
     assert sentence.startswith("The views have changed since the calibration. 2 views now, f = ")
+
+
+def test_what_must_be_mended_first_is_what_is_said(status: Status) -> None:
+    other = Look(None, decision=Decision(False, OTHER_CAMERA, "Another camera."))
+    assert status.result is not None
+    usable = status.result.calibration
+    unusable = replace(
+        usable, verdict=replace(usable.verdict, usable=False, reasons=("Too small.", "Too far."))
+    )
+    half = stream_of((320, 240))
+    # Each thing that is wrong is added to those before, and is more urgent than they are.
+    for change, said in (
+        ({}, (Level.OK, "Calibrated and usable")),
+        ({"result": Result(unusable, "camera")}, (Level.WARN, "Not usable: Too small. Too far.")),
+        ({"views": usable.views[:1]}, (Level.WARN, "The views have changed since the calibration. 1 view")),
+        ({"result": None}, (Level.WARN, "1 of 2 views, f = ")),
+        ({"last": other}, (Level.WARN, "Another camera.")),
+        ({"stream": half}, (Level.WARN, "The images are 320x240 now and the views {}x{}; ".format(*SIZE))),
+        ({"failure": "Take others."}, (Level.ERROR, "Take others.")),
+        ({"last": Look(None, problem="Unreadable.")}, (Level.ERROR, "Unreadable.")),
+        ({"idle_s": 61.4, "silence": "Start it."}, (Level.WARN, "No image has arrived for 61 s. Start it.")),
+        ({"idle_s": None}, (Level.WARN, "No image has arrived yet. Start it.")),
+    ):  # fmt: skip
+        status = replace(status, **change)
+        level, sentence = judge_health(status)
+        assert level is said[0]
+        assert sentence.startswith(said[1])
+
+
+def test_the_way_and_the_input_are_told(status: Status) -> None:
+    values = dict(health_values(status))
+    assert (values["mode"], values["input"], values["input changes"]) == ("automatic", "none", "0")
+    assert "last input change" not in values
+    manual = replace(status.parameters, auto_capture=False)
+    stream = stream_of((640, 480), (320, 240))
+    values = dict(health_values(replace(status, parameters=manual, stream=stream)))
+    assert (values["mode"], values["input changes"]) == ("services", "1")
+    assert "320x240" in values["input"]
+    assert "320" in values["last input change"]
+    stale = judge_health(replace(status, parameters=manual, views=()))[1]
+    assert stale.startswith("The views have changed since the calibration; call ~/calibrate. 0 views now")
 
 
 def test_the_focal_length_is_given_in_pixels_and_per_cent() -> None:

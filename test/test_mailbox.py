@@ -35,3 +35,10 @@ def test_whoever_waits_is_served_or_let_go():
     waiting.join(60)
     assert box.closed
     assert box.take() is None
+
+
+def test_a_closed_box_gives_nothing_out() -> None:
+    box = Mailbox(1)
+    box.put("a")
+    box.close()
+    assert box.take() is None

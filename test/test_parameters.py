@@ -1,8 +1,13 @@
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from ros_domain import own_domain
 
 from fewcal.constraints import Priors
 from fewcal.errors import InvalidInput
@@ -11,6 +16,35 @@ from fewcal.verdict import Thresholds
 from fewcal_ros.parameters import About, Parameters
 
 BOARD = "chessboard:9x6:0.025"
+DESCRIBE = """
+import json
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from fewcal_ros.parameters import Parameters, declare_parameters
+
+rclpy.init()
+node = Node("described", parameter_overrides=[Parameter("board", value="chessboard:9x6:0.025")])
+assert declare_parameters(node) == Parameters(board="chessboard:9x6:0.025")
+told = {}
+for name in node.list_parameters([], 0).names:
+    about = node.describe_parameter(name)
+    ranges = [*about.floating_point_range, *about.integer_range]
+    told[name] = {
+        "type": about.type, "dynamic_typing": about.dynamic_typing, "read_only": about.read_only,
+        "description": about.description, "constraints": about.additional_constraints,
+        "ranges": [(type(each).__name__, each.from_value, each.to_value) for each in ranges],
+    }
+def accepted(name, value):
+    return node.set_parameters([Parameter(name, value=value)])[0].successful
+told["accepted"] = [
+    accepted(*each)
+    for each in (("views_required", 3), ("max_motion_px", 3), ("max_motion_px", 2.5), ("views_required", 0),
+                 ("views_required", 2.5), ("max_motion_px", -0.5), ("image_transport", "compressed"))
+]
+print(json.dumps(told))
+rclpy.shutdown()
+"""
 
 
 def test_the_defaults_are_those_of_the_library():
@@ -27,6 +61,36 @@ def test_every_parameter_is_described():
         assert about.name.replace(".", "_") == field.name
         assert about.description.endswith(".")
         assert about.bounds is not None or type(about.default) in (str, bool)
+
+
+@pytest.fixture(scope="module")
+def described() -> Any:
+    """What a node in a process of its own says of its parameters, and which changes it takes."""
+    pytest.importorskip("rclpy")
+    with own_domain() as environment:
+        done = subprocess.run(
+            [sys.executable, "-c", DESCRIBE], env=environment, capture_output=True, text=True, timeout=60
+        )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_ros_is_told_what_each_parameter_takes(described: Any) -> None:
+    types = {bool: 1, int: 2, float: 3, str: 4}  # of rcl_interfaces/ParameterType
+    for field in Parameters.__dataclass_fields__.values():
+        about: About = field.metadata["about"]
+        told = described[about.name]
+        assert (told["type"], told["read_only"]) == (types[type(about.default)], about.read_only)
+        assert told["dynamic_typing"] == (type(about.default) is float)
+        assert told["description"] == about.description
+        assert all(choice in told["constraints"] for choice in about.choices)
+        assert bool(told["constraints"]) == bool(about.choices)
+        kind = "FloatingPointRange" if type(about.default) is float else "IntegerRange"
+        assert told["ranges"] == ([[kind, *about.bounds]] if about.bounds else [])
+
+
+def test_ros_itself_refuses_what_is_out_of_range_or_fixed(described: Any) -> None:
+    assert described["accepted"] == [True, True, True, False, False, False, False]
 
 
 @pytest.mark.parametrize(
